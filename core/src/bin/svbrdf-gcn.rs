@@ -1,0 +1,2 @@
+//! The command line; everything it does is in [`svbrdf_gcn::cli`].
+fn main() {}

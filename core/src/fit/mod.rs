@@ -1,0 +1,3 @@
+//! From photos to maps.
+
+pub mod progress;

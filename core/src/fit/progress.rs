@@ -1,0 +1,107 @@
+//! Progress, cancellation, and the handle through which long work reports both.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::error::{Error, Result};
+
+/// The parts of a fit, in the order they run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum Stage {
+    /// The photos pass through the encoder and once through the decoder.
+    Encode,
+    /// Adam on the latent code (paper, Eq. 6).
+    Latent,
+    /// Adam on the parameters of the per-map adapters (paper, Eq. 7).
+    Adapters,
+    /// Optimisation of the maps themselves.
+    Direct,
+}
+
+impl Stage {
+    /// The name used in files and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Encode => "encode",
+            Self::Latent => "latent",
+            Self::Adapters => "adapters",
+            Self::Direct => "direct",
+        }
+    }
+}
+
+/// Where a fit stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Progress {
+    /// The stage that is running.
+    pub stage: Stage,
+    /// Steps of this stage that are done.
+    pub step: usize,
+    /// Steps this stage will take at most.
+    pub steps: usize,
+    /// The loss before the last step, where the stage has one.
+    pub loss: Option<f64>,
+}
+
+/// A flag that stops a running fit from any thread; clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct CancelToken(Arc<AtomicBool>);
+
+impl CancelToken {
+    /// A token that is not cancelled.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Asks every run that holds this token to stop.
+    pub fn cancel(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether [`CancelToken::cancel`] was called.
+    pub fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// The callback of a fit: called at least after every step and, during long steps, some ten times a second with unchanged values.
+pub type ProgressFn<'a> = dyn FnMut(&Progress) -> ControlFlow<()> + 'a;
+
+/// What long work holds in order to report progress and to notice that it should stop.
+pub struct Control<'a> {
+    callback: &'a mut ProgressFn<'a>,
+    token: CancelToken,
+    last: Progress,
+}
+
+impl<'a> Control<'a> {
+    /// A control that reports to `callback` and stops when it breaks or `token` is cancelled.
+    pub fn new(callback: &'a mut ProgressFn<'a>, token: CancelToken) -> Self {
+        let last = Progress { stage: Stage::Encode, step: 0, steps: 1, loss: None };
+        Self { callback, token, last }
+    }
+
+    /// Reports that `step` of `steps` steps of `stage` are done.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`] if the caller wants to stop.
+    pub fn report(&mut self, stage: Stage, step: usize, steps: usize, loss: Option<f64>) -> Result<()> {
+        self.last = Progress { stage, step, steps, loss };
+        self.poll()
+    }
+
+    /// To be called between the parts of a step that takes longer than some 100 ms.
+    ///
+    /// # Errors
+    /// As [`Control::report`].
+    pub fn poll(&mut self) -> Result<()> {
+        if self.token.is_cancelled() || (self.callback)(&self.last).is_break() {
+            return Err(Error::Cancelled);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,16 @@
+//! Materials (SVBRDF maps) from flash photos.
+
+pub mod capture;
+pub mod color;
+pub mod error;
+pub mod fit;
+pub mod image;
+pub mod maps;
+pub mod material;
+
+pub use capture::{Capture, Photo, Shot};
+pub use color::Transfer;
+pub use error::{Error, Result};
+pub use image::Image;
+pub use maps::{Lobe, Maps};
+pub use material::Material;
