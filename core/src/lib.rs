@@ -7,6 +7,7 @@ pub mod fit;
 pub mod image;
 pub mod maps;
 pub mod material;
+pub mod nn;
 
 pub use capture::{Capture, Photo, Shot};
 pub use color::Transfer;
