@@ -1,3 +1,5 @@
 //! From photos to maps.
 
+pub mod adam;
+pub mod descent;
 pub mod progress;
