@@ -32,8 +32,10 @@ pub struct Settings {
     pub stage: Stage,
     /// Adam steps at most.
     pub steps: usize,
-    /// Adam's learning rate.
+    /// Adam's learning rate at the start.
     pub learning_rate: f64,
+    /// Share of it left at the last step, reached along half a cosine; 1 keeps it constant.
+    pub final_rate: f64,
     /// When to stop before `steps`; never if `None`.
     pub early_stop: Option<EarlyStop>,
 }
@@ -89,7 +91,7 @@ fn run(
     control: &mut Control<'_>,
     evaluate: &mut impl FnMut(&[f32], Option<&mut [f32]>, &mut Control<'_>) -> Result<f64>,
 ) -> Result<Descent> {
-    let &Settings { stage, steps, mut learning_rate, early_stop } = settings;
+    let &Settings { stage, steps, mut learning_rate, final_rate, early_stop } = settings;
     let mut adam = Adam::new(params.len());
     let mut gradient = vec![0.0; params.len()];
     let mut descent = Descent {
@@ -130,7 +132,7 @@ fn run(
             break;
         }
         if finite {
-            adam.step(params, &gradient, learning_rate);
+            adam.step(params, &gradient, learning_rate * rate_left(step, steps, final_rate));
         } else {
             // The next evaluation is of the best state again: its gradient is needed for the smaller step.
             params.copy_from_slice(best);
@@ -142,6 +144,12 @@ fn run(
     Ok(descent)
 }
 
+/// Share of the learning rate at `step` of `steps`.
+fn rate_left(step: usize, steps: usize, final_rate: f64) -> f64 {
+    let cosine = (std::f64::consts::PI * step as f64 / steps as f64).cos();
+    final_rate + (1.0 - final_rate) * (1.0 + cosine) / 2.0
+}
+
 #[cfg(test)]
 mod tests {
     use std::ops::ControlFlow;
@@ -150,7 +158,8 @@ mod tests {
     use crate::error::{Error, Result};
     use crate::fit::progress::{CancelToken, Control, Progress, Stage};
 
-    const SETTINGS: Settings = Settings { stage: Stage::Adapters, steps: 400, learning_rate: 0.05, early_stop: None };
+    const SETTINGS: Settings =
+        Settings { stage: Stage::Adapters, steps: 400, learning_rate: 0.05, final_rate: 1.0, early_stop: None };
 
     /// A bowl around (1, -2) with bottom value `floor`.
     fn bowl(floor: f64) -> impl FnMut(&[f32], Option<&mut [f32]>, &mut Control<'_>) -> Result<f64> {
@@ -179,6 +188,17 @@ mod tests {
         assert_eq!(descent.best_loss, least);
         assert_eq!(descent.losses[descent.best_step], least);
         assert_eq!(bowl(0.0)(&x, None, &mut control).unwrap(), least);
+    }
+
+    #[test]
+    fn a_falling_rate_gets_closer() {
+        let end = |final_rate| {
+            let mut callback = go_on;
+            let mut control = Control::new(&mut callback, CancelToken::new());
+            let settings = Settings { steps: 100, final_rate, ..SETTINGS };
+            descend(&mut [0.0, 0.0], &settings, &mut control, bowl(0.0)).unwrap().best_loss
+        };
+        assert!(end(0.01) < 0.5 * end(1.0), "{} {}", end(0.01), end(1.0));
     }
 
     #[test]

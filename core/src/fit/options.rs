@@ -1,0 +1,158 @@
+//! What a caller may choose about a fit.
+
+use serde::{Deserialize, Serialize};
+
+use crate::fit::progress::CancelToken;
+
+/// How much time a fit may spend: the lengths of its stages.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum Preset {
+    /// A first look.
+    Draft,
+    /// The paper's lengths.
+    #[default]
+    Balanced,
+    /// Until nothing is gained any more.
+    High,
+}
+
+impl Preset {
+    /// Steps on the latent code.
+    pub const fn latent_steps(self) -> usize {
+        match self {
+            Self::Draft => 3,
+            Self::Balanced => 10,
+            Self::High => 30,
+        }
+    }
+
+    /// Steps on the parameters of the adapters.
+    pub const fn adapter_steps(self) -> usize {
+        match self {
+            Self::Draft => 100,
+            Self::Balanced => 1000,
+            Self::High => 3000,
+        }
+    }
+
+    /// Steps on the maps themselves.
+    pub const fn direct_steps(self) -> usize {
+        match self {
+            Self::Draft => 100,
+            Self::Balanced => 300,
+            Self::High => 1000,
+        }
+    }
+}
+
+/// Which way leads from photos to maps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum Method {
+    /// [`Method::Network`] where a model is given, else [`Method::Direct`] with a warning.
+    #[default]
+    Auto,
+    /// The paper's: encode, optimise the latent code, then the adapters.
+    Network,
+    /// Without a network: optimise the maps themselves under simple priors.
+    Direct,
+}
+
+/// Options of [`fit_material`](crate::fit_material).
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub struct FitOptions {
+    /// Lengths of the stages that the next three fields leave open.
+    pub preset: Preset,
+    /// The way from photos to maps.
+    pub method: Method,
+    /// Steps on the latent code, instead of the preset's.
+    pub latent_steps: Option<usize>,
+    /// Steps on the adapters, instead of the preset's.
+    pub adapter_steps: Option<usize>,
+    /// Steps on the maps, instead of the preset's.
+    pub direct_steps: Option<usize>,
+    /// Most bytes the run may use; three quarters of the free memory if `None`.
+    pub max_memory: Option<u64>,
+    /// Seed of everything random. The same seed, thread count and CPU give the same bits.
+    pub seed: u64,
+    /// Threads; all the machine offers if `None`.
+    pub threads: Option<usize>,
+    /// Stop a stage when its loss has flattened; on if `None`.
+    pub early_stop: Option<bool>,
+    /// Stops the run from another thread.
+    pub cancel: CancelToken,
+}
+
+impl FitOptions {
+    /// The defaults of a preset.
+    pub fn preset(preset: Preset) -> Self {
+        Self { preset, ..Self::default() }
+    }
+
+    /// Sets [`FitOptions::method`].
+    #[must_use]
+    pub fn method(mut self, method: Method) -> Self {
+        self.method = method;
+        self
+    }
+
+    /// Sets [`FitOptions::latent_steps`].
+    #[must_use]
+    pub fn latent_steps(mut self, steps: usize) -> Self {
+        self.latent_steps = Some(steps);
+        self
+    }
+
+    /// Sets [`FitOptions::adapter_steps`].
+    #[must_use]
+    pub fn adapter_steps(mut self, steps: usize) -> Self {
+        self.adapter_steps = Some(steps);
+        self
+    }
+
+    /// Sets [`FitOptions::direct_steps`].
+    #[must_use]
+    pub fn direct_steps(mut self, steps: usize) -> Self {
+        self.direct_steps = Some(steps);
+        self
+    }
+
+    /// Sets [`FitOptions::max_memory`].
+    #[must_use]
+    pub fn max_memory(mut self, bytes: u64) -> Self {
+        self.max_memory = Some(bytes);
+        self
+    }
+
+    /// Sets [`FitOptions::seed`].
+    #[must_use]
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Sets [`FitOptions::threads`].
+    #[must_use]
+    pub fn threads(mut self, threads: usize) -> Self {
+        self.threads = Some(threads);
+        self
+    }
+
+    /// Sets [`FitOptions::early_stop`].
+    #[must_use]
+    pub fn early_stop(mut self, on: bool) -> Self {
+        self.early_stop = Some(on);
+        self
+    }
+
+    /// Sets [`FitOptions::cancel`].
+    #[must_use]
+    pub fn cancel(mut self, token: CancelToken) -> Self {
+        self.cancel = token;
+        self
+    }
+}
