@@ -191,14 +191,20 @@ mod tests {
     }
 
     #[test]
-    fn a_falling_rate_gets_closer() {
+    fn a_falling_rate_settles() {
+        // A kink at 1: steps of constant length go on jumping over it.
         let end = |final_rate| {
             let mut callback = go_on;
             let mut control = Control::new(&mut callback, CancelToken::new());
-            let settings = Settings { steps: 100, final_rate, ..SETTINGS };
-            descend(&mut [0.0, 0.0], &settings, &mut control, bowl(0.0)).unwrap().best_loss
+            let settings = Settings { final_rate, ..SETTINGS };
+            let kink = |x: &[f32], gradient: Option<&mut [f32]>, _: &mut Control<'_>| {
+                gradient.into_iter().for_each(|gradient| gradient[0] = (x[0] - 1.0).signum());
+                Ok(f64::from((x[0] - 1.0).abs()))
+            };
+            let losses = descend(&mut [0.0], &settings, &mut control, kink).unwrap().losses;
+            losses[380..].iter().sum::<f64>() / 21.0
         };
-        assert!(end(0.01) < 0.5 * end(1.0), "{} {}", end(0.01), end(1.0));
+        assert!(end(0.01) < 0.3 * end(1.0), "{} {}", end(0.01), end(1.0));
     }
 
     #[test]
