@@ -1,0 +1,412 @@
+//! A capture: flash photos of one nearly flat sample, and where camera and light stood for each.
+//!
+//! Frame: the sample is centred at the origin in the plane z = 0, x right, y up (image row 0 is +y), z towards the camera.
+//! Pixel (row i, column j) of an H x W image lies at `x = ((j + 0.5) / W - 0.5) * patch_size`,
+//! `y = -((i + 0.5) / H - 0.5) * patch_size * H / W`. Positions and `patch_size` (the width) share one length unit.
+
+mod layout;
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use crate::color::Transfer;
+use crate::error::{Error, Result};
+use crate::image::Image;
+use crate::io::resize::{fit_size, shrink};
+use crate::io::{Pixels, RowReader, Samples, read_stored};
+
+use layout::Layout;
+
+/// Where camera and light stood for one photo, and how bright the light was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shot {
+    /// Camera position, in the capture's unit.
+    pub camera: [f64; 3],
+    /// Position of the point light; equal to `camera` for a flash beside the lens.
+    pub light: [f64; 3],
+    /// RGB intensity: photo units times length squared, so that a surface at distance r receives `light_intensity / r^2`.
+    pub light_intensity: [f64; 3],
+}
+
+impl Shot {
+    /// # Errors
+    /// [`Error::InvalidArgument`] naming `photo` and the field, for a position that is not finite or not in front of the sample, or
+    /// an intensity that is negative, zero in all channels, or not finite.
+    fn check(&self, photo: &str) -> Result<()> {
+        for (field, position) in [("camera", self.camera), ("light", self.light)] {
+            if !position.iter().all(|v| v.is_finite()) {
+                return Err(Error::invalid(photo, format!("{field} {position:?} is not finite")));
+            }
+            if position[2] <= 0.0 {
+                return Err(Error::invalid(
+                    photo,
+                    format!("{field} {position:?} lies behind the sample: z must be above 0, got {}", position[2]),
+                ));
+            }
+        }
+        let intensity = self.light_intensity;
+        if !intensity.iter().all(|v| v.is_finite() && *v >= 0.0) || intensity == [0.0; 3] {
+            return Err(Error::invalid(
+                photo,
+                format!("light_intensity must be finite, not negative and not all 0, got {intensity:?}"),
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// One photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Photo {
+    /// File name or a name given by the host, for messages.
+    pub name: String,
+    /// Positions and light.
+    pub shot: Shot,
+    /// Linear RGB, (H, W, 3).
+    pub image: Image,
+    /// One byte per pixel; bit c is set where channel c stands at the encoding's upper end and only says "at least this bright".
+    pub saturated: Vec<u8>,
+}
+
+/// Pixels of one photo in a host's memory, for [`Capture::from_photos`].
+#[derive(Clone, Copy, Debug)]
+pub struct PhotoPixels<'a> {
+    /// What messages call the photo.
+    pub name: &'a str,
+    /// Positions and light.
+    pub shot: Shot,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, alpha); alpha is ignored with a warning.
+    pub channels: usize,
+    /// Rows from the top, channels interleaved, encoded with the capture's transfer function.
+    pub samples: Samples<'a>,
+}
+
+/// How a capture is read.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct CaptureOptions {
+    /// The longer side of the photos after reading; see [`CaptureOptions::size`].
+    pub size: Option<usize>,
+    /// The photos to take; see [`CaptureOptions::views`].
+    pub views: Option<Vec<usize>>,
+    /// The transfer function; see [`CaptureOptions::transfer`].
+    pub transfer: Option<Transfer>,
+}
+
+impl CaptureOptions {
+    /// All photos, at their own size, with the transfer function of the capture.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Photos whose longer side is above `size` pixels are resampled by area, in linear light; smaller ones are never enlarged.
+    pub fn size(mut self, size: usize) -> Self {
+        self.size = Some(size);
+        self
+    }
+
+    /// Only these photos, counted from 0, in this order; no others are opened.
+    pub fn views(mut self, views: impl Into<Vec<usize>>) -> Self {
+        self.views = Some(views.into());
+        self
+    }
+
+    /// Replaces the transfer function that the capture states or its layout implies.
+    pub fn transfer(mut self, transfer: Transfer) -> Self {
+        self.transfer = Some(transfer);
+        self
+    }
+}
+
+/// Photos of one sample, all of the same size.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Capture {
+    photos: Vec<Photo>,
+    patch_size: f64,
+    transfer: Transfer,
+    unit: Option<String>,
+    warnings: Vec<String>,
+}
+
+impl Capture {
+    /// Reads a capture: a folder in the layout of MaterialGAN and the paper (`0.png` or `00.png` ..., `camera_pos.txt`,
+    /// `light_pos.txt`, `image_size.txt`, `light_power.txt`; gamma 2.2), a folder with a `capture.json` (which wins), a
+    /// `capture.json` itself, or a JSON file of svbrdf-diff-renderer (gamma 2.2). `docs/captures.md` describes them.
+    ///
+    /// # Errors
+    /// As [`Capture::open_with`].
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        Self::open_with(path, &CaptureOptions::default())
+    }
+
+    /// [`Capture::open`] with options.
+    ///
+    /// # Errors
+    /// [`Error::Io`] for files that are missing or broken, [`Error::UnsupportedFormat`] for layouts and image formats that are
+    /// not read, [`Error::ShapeMismatch`] where counts or photo sizes differ, [`Error::InvalidArgument`] for values out of range:
+    /// positions that are not in front of the sample, sizes and intensities that are not positive, views that do not exist.
+    pub fn open_with(path: impl AsRef<Path>, options: &CaptureOptions) -> Result<Self> {
+        let Layout { entries, patch_size, transfer, unit, white_level } = Layout::read(path.as_ref())?;
+        let transfer = options.transfer.unwrap_or(transfer);
+        check_patch_size(patch_size)?;
+        check_white_level(white_level)?;
+        for entry in &entries {
+            entry.shot.check(&entry.name)?;
+        }
+        let selected: Vec<_> = match &options.views {
+            Some(views) => check_views(views, entries.len())?.iter().map(|&view| &entries[view]).collect(),
+            None => entries.iter().collect(),
+        };
+        let loaded = selected
+            .par_iter()
+            .map(|entry| {
+                let stored = read_stored(&entry.path)?;
+                let photo = develop(&entry.name, entry.shot, stored.pixels(), transfer, white_level, options.size)?;
+                Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        Self::assemble(loaded, patch_size, transfer, unit, options.size)
+    }
+
+    /// A capture from photos in memory, with the checks of [`Capture::open_with`].
+    ///
+    /// `patch_size` is the width of the patch. `white_level` is the stored value at which float samples are saturated; without
+    /// it none are. Integer samples are saturated at their top code.
+    ///
+    /// # Errors
+    /// As [`Capture::open_with`]; [`Error::ShapeMismatch`] if a photo's samples are not `width * height * channels` values.
+    pub fn from_photos(
+        photos: &[PhotoPixels<'_>],
+        patch_size: f64,
+        transfer: Transfer,
+        white_level: Option<f32>,
+        options: &CaptureOptions,
+    ) -> Result<Self> {
+        let transfer = options.transfer.unwrap_or(transfer);
+        check_patch_size(patch_size)?;
+        check_white_level(white_level)?;
+        for photo in photos {
+            photo.shot.check(photo.name)?;
+            let expected = photo.width.checked_mul(photo.height).and_then(|n| n.checked_mul(photo.channels));
+            if !(1..=4).contains(&photo.channels) || photo.samples.is_empty() || expected != Some(photo.samples.len()) {
+                return Err(Error::shape(
+                    photo.name,
+                    format!("{} x {} pixels of {} channels, 1 to 4", photo.width, photo.height, photo.channels),
+                    format!("{} values", photo.samples.len()),
+                ));
+            }
+        }
+        let selected: Vec<_> = match &options.views {
+            Some(views) => check_views(views, photos.len())?.iter().map(|&view| &photos[view]).collect(),
+            None => photos.iter().collect(),
+        };
+        let loaded = selected
+            .par_iter()
+            .map(|photo| {
+                let &PhotoPixels { name, shot, width, height, channels, samples } = **photo;
+                let pixels = Pixels { width, height, channels, samples };
+                develop(name, shot, pixels, transfer, white_level, options.size)
+            })
+            .collect::<Result<Vec<_>>>()?;
+        Self::assemble(loaded, patch_size, transfer, None, options.size)
+    }
+
+    /// A capture from photos that are linear already; `transfer` says how they were stored before.
+    ///
+    /// # Errors
+    /// As [`Capture::from_photos`].
+    pub fn new(photos: Vec<Photo>, patch_size: f64, transfer: Transfer) -> Result<Self> {
+        check_patch_size(patch_size)?;
+        for photo in &photos {
+            photo.shot.check(&photo.name)?;
+            if photo.image.channels() != 3 || photo.saturated.len() != photo.image.width() * photo.image.height() {
+                return Err(Error::shape(
+                    &photo.name,
+                    "an RGB image and one saturation byte per pixel",
+                    format!("{} channels, {} bytes", photo.image.channels(), photo.saturated.len()),
+                ));
+            }
+            check_finite(&photo.name, photo.image.data(), 3 * photo.image.width())?;
+        }
+        let loaded = photos
+            .into_iter()
+            .map(|photo| {
+                let full_size = (photo.image.width(), photo.image.height());
+                Loaded { photo, full_size, notes: Vec::new() }
+            })
+            .collect();
+        Self::assemble(loaded, patch_size, transfer, None, None)
+    }
+
+    fn assemble(
+        loaded: Vec<Loaded>,
+        patch_size: f64,
+        transfer: Transfer,
+        unit: Option<String>,
+        size: Option<usize>,
+    ) -> Result<Self> {
+        let Some(first) = loaded.first() else {
+            return Err(Error::invalid("capture", "expected at least one photo, got 0"));
+        };
+        let ((width, height), first_name) = (first.full_size, &first.photo.name);
+        if let Some(other) = loaded.iter().find(|other| other.full_size != (width, height)) {
+            return Err(Error::shape(
+                &other.photo.name,
+                format!("{width} x {height} pixels as {first_name} has"),
+                format!("{} x {}", other.full_size.0, other.full_size.1),
+            ));
+        }
+        let mut warnings = Vec::new();
+        if let Some(size) = size.filter(|&size| size > width.max(height)) {
+            warnings.push(format!("size {size} asked for, photos of {width} x {height} are not enlarged"));
+        }
+        let mut notes: Vec<&String> = loaded.iter().flat_map(|photo| &photo.notes).collect();
+        notes.sort();
+        notes.dedup();
+        for note in notes {
+            let names: Vec<&str> =
+                loaded.iter().filter(|photo| photo.notes.contains(note)).map(|photo| photo.photo.name.as_str()).collect();
+            warnings.push(format!("{}: {note}", names.join(", ")));
+        }
+        let photos = loaded.into_iter().map(|loaded| loaded.photo).collect();
+        Ok(Self { photos, patch_size, transfer, unit, warnings })
+    }
+
+    /// The photos.
+    pub fn photos(&self) -> &[Photo] {
+        &self.photos
+    }
+
+    /// How many photos there are; at least one.
+    #[expect(clippy::len_without_is_empty, reason = "a capture is never empty")]
+    pub fn len(&self) -> usize {
+        self.photos.len()
+    }
+
+    /// Columns of every photo.
+    pub fn width(&self) -> usize {
+        self.photos[0].image.width()
+    }
+
+    /// Rows of every photo.
+    pub fn height(&self) -> usize {
+        self.photos[0].image.height()
+    }
+
+    /// Width of the patch in the capture's length unit; its height is `patch_size * height / width`.
+    pub fn patch_size(&self) -> f64 {
+        self.patch_size
+    }
+
+    /// The transfer function the photos were decoded with.
+    pub fn transfer(&self) -> Transfer {
+        self.transfer
+    }
+
+    /// The name of the length unit, where the capture states it.
+    pub fn unit(&self) -> Option<&str> {
+        self.unit.as_deref()
+    }
+
+    /// What a user should know about how the capture was read.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// The capture with only these photos, counted from 0, in this order.
+    ///
+    /// # Errors
+    /// [`Error::InvalidArgument`] if `views` is empty, names a photo twice or one that does not exist.
+    pub fn select(&self, views: &[usize]) -> Result<Self> {
+        let photos = check_views(views, self.len())?.iter().map(|&view| self.photos[view].clone()).collect();
+        Ok(Self { photos, unit: self.unit.clone(), warnings: self.warnings.clone(), ..*self })
+    }
+}
+
+/// A photo, its size before resampling, and what there is to say about how it was read.
+struct Loaded {
+    photo: Photo,
+    full_size: (usize, usize),
+    notes: Vec<String>,
+}
+
+/// Makes a linear photo of stored pixels: decodes, resamples to at most `size`, expands grey, notes what is saturated.
+fn develop(
+    name: &str,
+    shot: Shot,
+    pixels: Pixels<'_>,
+    transfer: Transfer,
+    white_level: Option<f32>,
+    size: Option<usize>,
+) -> Result<Loaded> {
+    if size == Some(0) {
+        return Err(Error::invalid("size", "expected at least 1 pixel, got 0"));
+    }
+    let mut notes = Vec::new();
+    if pixels.has_alpha() {
+        notes.push("alpha ignored".to_owned());
+    }
+    match pixels.samples {
+        Samples::F32(values) => check_finite(name, values, pixels.width * pixels.channels)?,
+        _ if white_level.is_some() => notes.push("white_level not used: the photo is not of floats".to_owned()),
+        _ => {}
+    }
+    let colors = pixels.colors();
+    let reader = RowReader::new(pixels, transfer, white_level);
+    let full_size = (pixels.width, pixels.height);
+    let (width, height) = fit_size(pixels.width, pixels.height, size);
+    let (mut values, mut saturated) =
+        shrink(full_size, (width, height), colors, |y, row, mask| reader.read(y, row, Some(mask)));
+    if colors == 1 {
+        values = values.iter().flat_map(|&grey| [grey; 3]).collect();
+        for bits in &mut saturated {
+            *bits *= 7;
+        }
+    }
+    let image = Image::new(width, height, 3, values)?;
+    Ok(Loaded { photo: Photo { name: name.to_owned(), shot, image, saturated }, full_size, notes })
+}
+
+fn check_patch_size(patch_size: f64) -> Result<()> {
+    if patch_size.is_finite() && patch_size > 0.0 {
+        return Ok(());
+    }
+    Err(Error::invalid("patch_size", format!("expected a finite number above 0, got {patch_size}")))
+}
+
+fn check_white_level(white_level: Option<f32>) -> Result<()> {
+    match white_level {
+        Some(level) if !(level.is_finite() && level > 0.0) => {
+            Err(Error::invalid("white_level", format!("expected a finite number above 0, got {level}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// `values` is checked for NaN and infinity; `row` is the length of a row in values.
+fn check_finite(name: &str, values: &[f32], row: usize) -> Result<()> {
+    match values.iter().position(|value| !value.is_finite()) {
+        Some(at) => Err(Error::invalid(name, format!("pixel value {} in row {}", values[at], at / row.max(1)))),
+        None => Ok(()),
+    }
+}
+
+fn check_views(views: &[usize], photos: usize) -> Result<&[usize]> {
+    if views.is_empty() {
+        return Err(Error::invalid("views", "expected at least one photo, got none"));
+    }
+    for (i, &view) in views.iter().enumerate() {
+        if view >= photos {
+            return Err(Error::invalid("views", format!("photo {view} of a capture of {photos} photos, counted from 0")));
+        }
+        if views[..i].contains(&view) {
+            return Err(Error::invalid("views", format!("photo {view} is named twice")));
+        }
+    }
+    Ok(views)
+}

@@ -1,0 +1,460 @@
+//! Image files as their stored pixels.
+
+use std::io::{Cursor, Read};
+use std::path::Path;
+
+use image::codecs::jpeg::JpegDecoder;
+use image::codecs::png::PngDecoder;
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageError};
+use tiff::decoder::{Decoder as TiffDecoder, DecodingResult};
+use tiff::tags::Tag;
+use tiff::{ColorType, TiffError};
+
+use super::exr;
+use crate::color::Transfer;
+use crate::error::{Error, Result};
+use crate::image::Image;
+
+/// The largest image that is read, in bytes of its stored pixels.
+pub const MAX_DECODED_BYTES: u64 = 1 << 30;
+
+/// No compression these formats use packs pixels tighter: deflate reaches 1032 : 1, progressive JPEG 1024 : 1.
+/// A header that promises more than that lies, and nothing is allocated for it.
+const MAX_COMPRESSION: u64 = 2048;
+const SMALL_FILE: u64 = 1 << 16;
+
+/// Stored pixel values: integers stand for the range from 0 to 1, floats for themselves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Samples<'a> {
+    /// 255 stands for 1.
+    U8(&'a [u8]),
+    /// 65535 stands for 1.
+    U16(&'a [u16]),
+    /// Stored values as they are.
+    F32(&'a [f32]),
+}
+
+impl Samples<'_> {
+    /// How many values there are.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::U8(values) => values.len(),
+            Self::U16(values) => values.len(),
+            Self::F32(values) => values.len(),
+        }
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// Stored pixels, borrowed: rows from the top, channels interleaved: grey, grey and alpha, RGB, or RGB and alpha.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pixels<'a> {
+    pub width: usize,
+    pub height: usize,
+    pub channels: usize,
+    pub samples: Samples<'a>,
+}
+
+impl Pixels<'_> {
+    /// Channels without alpha.
+    pub fn colors(&self) -> usize {
+        if self.channels >= 3 { 3 } else { 1 }
+    }
+
+    /// Whether the last channel is alpha.
+    pub fn has_alpha(&self) -> bool {
+        self.channels.is_multiple_of(2)
+    }
+}
+
+/// The samples of a decoded file.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum OwnedSamples {
+    U8(Vec<u8>),
+    U16(Vec<u16>),
+    F32(Vec<f32>),
+}
+
+/// A decoded file: its pixels as they are stored.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Stored {
+    pub width: usize,
+    pub height: usize,
+    pub channels: usize,
+    pub samples: OwnedSamples,
+    /// What a user may want to know about how the file was read.
+    pub notes: Vec<String>,
+}
+
+impl Stored {
+    pub fn pixels(&self) -> Pixels<'_> {
+        let samples = match &self.samples {
+            OwnedSamples::U8(values) => Samples::U8(values),
+            OwnedSamples::U16(values) => Samples::U16(values),
+            OwnedSamples::F32(values) => Samples::F32(values),
+        };
+        Pixels { width: self.width, height: self.height, channels: self.channels, samples }
+    }
+
+    /// The linear values, grey or RGB, without alpha.
+    pub fn to_image(&self, transfer: Transfer) -> Result<Image> {
+        let pixels = self.pixels();
+        let colors = pixels.colors();
+        let reader = RowReader::new(pixels, transfer, None);
+        let mut data = vec![0.0; self.width * self.height * colors];
+        for (y, row) in data.chunks_exact_mut(self.width * colors).enumerate() {
+            reader.read(y, row, None);
+        }
+        Image::new(self.width, self.height, colors, data)
+    }
+
+    /// Turns the image the way its orientation tag asks for.
+    fn orient(self, orientation: Orientation) -> Self {
+        if orientation == Orientation::NoTransforms {
+            return self;
+        }
+        let (width, height, channels) = (self.width, self.height, self.channels);
+        let samples = match self.samples {
+            OwnedSamples::U8(values) => OwnedSamples::U8(oriented(&values, width, height, channels, orientation)),
+            OwnedSamples::U16(values) => OwnedSamples::U16(oriented(&values, width, height, channels, orientation)),
+            OwnedSamples::F32(values) => OwnedSamples::F32(oriented(&values, width, height, channels, orientation)),
+        };
+        let (width, height) = if swaps_axes(orientation) { (height, width) } else { (width, height) };
+        let mut notes = self.notes;
+        notes.push(format!("orientation {} of the file applied", orientation.to_exif()));
+        Self { width, height, channels, samples, notes }
+    }
+}
+
+fn swaps_axes(orientation: Orientation) -> bool {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
+}
+
+/// The values of an image of `width` x `height` turned by `orientation`.
+fn oriented<T: Copy>(values: &[T], width: usize, height: usize, channels: usize, orientation: Orientation) -> Vec<T> {
+    let (out_width, out_height) = if swaps_axes(orientation) { (height, width) } else { (width, height) };
+    let mut out = Vec::with_capacity(values.len());
+    for row in 0..out_height {
+        for column in 0..out_width {
+            let (x, y) = match orientation {
+                Orientation::NoTransforms => (column, row),
+                Orientation::FlipHorizontal => (width - 1 - column, row),
+                Orientation::Rotate180 => (width - 1 - column, height - 1 - row),
+                Orientation::FlipVertical => (column, height - 1 - row),
+                Orientation::Rotate90FlipH => (row, column),
+                Orientation::Rotate90 => (row, height - 1 - column),
+                Orientation::Rotate270FlipH => (width - 1 - row, height - 1 - column),
+                Orientation::Rotate270 => (width - 1 - row, column),
+            };
+            let start = (y * width + x) * channels;
+            out.extend_from_slice(&values[start..start + channels]);
+        }
+    }
+    out
+}
+
+/// Rows of stored pixels as linear values without alpha.
+pub(crate) struct RowReader<'a> {
+    pixels: Pixels<'a>,
+    transfer: Transfer,
+    /// Linear value of every code of an integer format.
+    table: Vec<f32>,
+    white_level: Option<f32>,
+}
+
+impl<'a> RowReader<'a> {
+    /// `white_level` is the stored value at which float samples are saturated.
+    pub fn new(pixels: Pixels<'a>, transfer: Transfer, white_level: Option<f32>) -> Self {
+        let codes: u32 = match pixels.samples {
+            Samples::U8(_) => 1 << 8,
+            Samples::U16(_) => 1 << 16,
+            Samples::F32(_) => 0,
+        };
+        let table = (0..codes).map(|code| transfer.decode(code as f32 / (codes - 1) as f32)).collect();
+        Self { pixels, transfer, table, white_level }
+    }
+
+    /// Row `y` as `colors` linear values per pixel; where `saturated` is given, it gets one byte per pixel whose bit c says
+    /// that channel c stands at the encoding's upper end.
+    pub fn read(&self, y: usize, row: &mut [f32], saturated: Option<&mut [u8]>) {
+        let stride = self.pixels.width * self.pixels.channels;
+        let range = y * stride..(y + 1) * stride;
+        match self.pixels.samples {
+            Samples::U8(values) => {
+                self.convert(&values[range], row, saturated, |v| self.table[usize::from(v)], |v| v == u8::MAX)
+            }
+            Samples::U16(values) => {
+                self.convert(&values[range], row, saturated, |v| self.table[usize::from(v)], |v| v == u16::MAX)
+            }
+            Samples::F32(values) => {
+                let white = self.white_level.unwrap_or(f32::INFINITY);
+                self.convert(&values[range], row, saturated, |v| self.transfer.decode(v), |v| v >= white)
+            }
+        }
+    }
+
+    fn convert<T: Copy>(
+        &self,
+        stored: &[T],
+        row: &mut [f32],
+        saturated: Option<&mut [u8]>,
+        linear: impl Fn(T) -> f32,
+        full: impl Fn(T) -> bool,
+    ) {
+        let colors = self.pixels.colors();
+        let pixels = stored.chunks_exact(self.pixels.channels);
+        for (pixel, out) in pixels.clone().zip(row.chunks_exact_mut(colors)) {
+            for (out, &value) in out.iter_mut().zip(pixel) {
+                *out = linear(value);
+            }
+        }
+        if let Some(saturated) = saturated {
+            for (pixel, bits) in pixels.zip(saturated) {
+                *bits = pixel[..colors].iter().enumerate().fold(0, |bits, (c, &v)| bits | (u8::from(full(v)) << c));
+            }
+        }
+    }
+}
+
+/// Reads and decodes the file `path`.
+pub(crate) fn read_stored(path: &Path) -> Result<Stored> {
+    decode(path, &read_file(path, MAX_DECODED_BYTES + SMALL_FILE)?)
+}
+
+/// The bytes of a regular file of at most `max` bytes.
+pub(crate) fn read_file(path: &Path, max: u64) -> Result<Vec<u8>> {
+    let file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
+    let metadata = file.metadata().map_err(|e| Error::io(path, e))?;
+    if !metadata.is_file() {
+        return Err(Error::io(path, std::io::Error::other("not a file")));
+    }
+    if metadata.len() > max {
+        return Err(Error::invalid(
+            path.display().to_string(),
+            format!("file of {} bytes, at most {max} are read", metadata.len()),
+        ));
+    }
+    let mut bytes = Vec::with_capacity(metadata.len() as usize);
+    file.take(max).read_to_end(&mut bytes).map_err(|e| Error::io(path, e))?;
+    Ok(bytes)
+}
+
+/// Decodes the bytes of an image file; `path` is its name in messages.
+pub(crate) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
+    match bytes {
+        [] => Err(broken(path, "the file is empty")),
+        [0x89, b'P', b'N', b'G', ..] => decode_png(path, bytes),
+        [0xff, 0xd8, 0xff, ..] => decode_jpeg(path, bytes),
+        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => decode_tiff(path, bytes),
+        [0x76, 0x2f, 0x31, 0x01, ..] => exr::decode(path, bytes),
+        _ => {
+            let start: Vec<String> = bytes.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+            Err(unsupported(path, format!("starts with {}; read are PNG, JPEG, TIFF and OpenEXR", start.join(" "))))
+        }
+    }
+}
+
+/// An error for a file that its decoder cannot read.
+pub(super) fn broken(path: &Path, reason: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Error {
+    Error::io(path, std::io::Error::new(std::io::ErrorKind::InvalidData, reason))
+}
+
+pub(super) fn unsupported(path: &Path, got: impl Into<String>) -> Error {
+    Error::UnsupportedFormat { name: path.display().to_string(), got: got.into() }
+}
+
+/// Refuses an image whose pixels are more than is read, or more than its file can hold, before anything is allocated for it.
+pub(super) fn check_size(path: &Path, width: u64, height: u64, bytes_per_pixel: u64, file_bytes: usize) -> Result<()> {
+    let name = || path.display().to_string();
+    let needed = width.checked_mul(height).and_then(|n| n.checked_mul(bytes_per_pixel));
+    if width == 0 || height == 0 {
+        return Err(Error::invalid(name(), format!("image of {width} x {height} pixels")));
+    }
+    let Some(needed) = needed.filter(|&needed| needed <= MAX_DECODED_BYTES) else {
+        return Err(Error::invalid(
+            name(),
+            format!("image of {width} x {height} pixels with {bytes_per_pixel} bytes each, at most {MAX_DECODED_BYTES} bytes are read"),
+        ));
+    };
+    if needed > plausible_bytes(file_bytes) {
+        return Err(Error::invalid(
+            name(),
+            format!("image of {width} x {height} pixels in a file of {file_bytes} bytes: truncated or no image"),
+        ));
+    }
+    Ok(())
+}
+
+/// More bytes than a file of this size can decode to.
+fn plausible_bytes(file_bytes: usize) -> u64 {
+    (file_bytes as u64).saturating_mul(MAX_COMPRESSION).saturating_add(SMALL_FILE)
+}
+
+fn decode_png(path: &Path, bytes: &[u8]) -> Result<Stored> {
+    let mut limits = image::Limits::no_limits();
+    limits.max_alloc = Some(plausible_bytes(bytes.len()).min(MAX_DECODED_BYTES));
+    decode_with(path, bytes, PngDecoder::with_limits(Cursor::new(bytes), limits).map_err(|e| image_error(path, e))?)
+}
+
+fn decode_jpeg(path: &Path, bytes: &[u8]) -> Result<Stored> {
+    if !jpeg_is_complete(bytes) {
+        return Err(broken(path, "JPEG without its end marker: truncated"));
+    }
+    decode_with(path, bytes, JpegDecoder::new(Cursor::new(bytes)).map_err(|e| image_error(path, e))?)
+}
+
+/// Whether the markers of a JPEG file lead to its end marker. The decoder fills up truncated files with grey.
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    loop {
+        // Entropy-coded data (after a scan header) and fill bytes lie before the next marker.
+        while let (Some(&byte), Some(&next)) = (bytes.get(at), bytes.get(at + 1)) {
+            if byte == 0xff && !matches!(next, 0x00 | 0xff | 0xd0..=0xd7) {
+                break;
+            }
+            at += 1;
+        }
+        match (bytes.get(at + 1), bytes.get(at + 2..at + 4)) {
+            (Some(0xd9), _) => return true,
+            (Some(_), Some(&[high, low])) => at += 2 + usize::from(u16::from_be_bytes([high, low])).max(2),
+            _ => return false,
+        }
+    }
+}
+
+fn decode_with(path: &Path, bytes: &[u8], mut decoder: impl ImageDecoder) -> Result<Stored> {
+    let (width, height) = decoder.dimensions();
+    let bytes_per_pixel = u64::from(decoder.color_type().bytes_per_pixel());
+    check_size(path, width.into(), height.into(), bytes_per_pixel, bytes.len())?;
+    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    let (channels, samples) = match DynamicImage::from_decoder(decoder).map_err(|e| image_error(path, e))? {
+        DynamicImage::ImageLuma8(image) => (1, OwnedSamples::U8(image.into_raw())),
+        DynamicImage::ImageLumaA8(image) => (2, OwnedSamples::U8(image.into_raw())),
+        DynamicImage::ImageRgb8(image) => (3, OwnedSamples::U8(image.into_raw())),
+        DynamicImage::ImageRgba8(image) => (4, OwnedSamples::U8(image.into_raw())),
+        DynamicImage::ImageLuma16(image) => (1, OwnedSamples::U16(image.into_raw())),
+        DynamicImage::ImageLumaA16(image) => (2, OwnedSamples::U16(image.into_raw())),
+        DynamicImage::ImageRgb16(image) => (3, OwnedSamples::U16(image.into_raw())),
+        DynamicImage::ImageRgba16(image) => (4, OwnedSamples::U16(image.into_raw())),
+        other => return Err(unsupported(path, format!("{:?} pixels", other.color()))),
+    };
+    let stored = Stored { width: width as usize, height: height as usize, channels, samples, notes: Vec::new() };
+    Ok(stored.orient(orientation))
+}
+
+fn image_error(path: &Path, error: ImageError) -> Error {
+    match error {
+        ImageError::Unsupported(error) => unsupported(path, error.to_string()),
+        ImageError::IoError(error) => Error::io(path, error),
+        error => broken(path, error),
+    }
+}
+
+fn tiff_error(path: &Path, error: TiffError) -> Error {
+    match error {
+        TiffError::UnsupportedError(error) => unsupported(path, error.to_string()),
+        TiffError::IoError(error) => Error::io(path, error),
+        error => broken(path, error),
+    }
+}
+
+fn decode_tiff(path: &Path, bytes: &[u8]) -> Result<Stored> {
+    let error = |e| tiff_error(path, e);
+    let mut limits = tiff::decoder::Limits::default();
+    limits.decoding_buffer_size = MAX_DECODED_BYTES as usize;
+    limits.intermediate_buffer_size = plausible_bytes(bytes.len()).min(MAX_DECODED_BYTES) as usize;
+    let mut decoder = TiffDecoder::new(Cursor::new(bytes)).map_err(error)?.with_limits(limits);
+    let (width, height) = decoder.dimensions().map_err(error)?;
+    let color = decoder.colortype().map_err(error)?;
+    let channels = match color {
+        ColorType::Gray(_) => 1,
+        ColorType::GrayA(_) => 2,
+        ColorType::RGB(_) => 3,
+        ColorType::RGBA(_) => 4,
+        other => return Err(unsupported(path, format!("{other:?} pixels"))),
+    };
+    let bits = color.bit_depth();
+    if !matches!(bits, 8 | 16 | 32 | 64) {
+        return Err(unsupported(path, format!("{bits} bits per channel; read are 8, 16 and floats of 16, 32 and 64")));
+    }
+    check_size(path, width.into(), height.into(), channels as u64 * u64::from(bits / 8), bytes.len())?;
+    let orientation = decoder.find_tag_unsigned::<u8>(Tag::Orientation).ok().flatten().and_then(Orientation::from_exif);
+
+    let mut decoded = DecodingResult::U8(Vec::new());
+    let layout = decoder.read_image_to_buffer(&mut decoded).map_err(error)?;
+    let planes = layout.planes;
+    let samples = match decoded {
+        DecodingResult::U8(values) => OwnedSamples::U8(interleaved(values, planes)),
+        DecodingResult::U16(values) => OwnedSamples::U16(interleaved(values, planes)),
+        DecodingResult::F16(values) => {
+            OwnedSamples::F32(interleaved(values.into_iter().map(half::f16::to_f32).collect(), planes))
+        }
+        DecodingResult::F32(values) => OwnedSamples::F32(interleaved(values, planes)),
+        DecodingResult::F64(values) => {
+            OwnedSamples::F32(interleaved(values.into_iter().map(|value| value as f32).collect(), planes))
+        }
+        _ => return Err(unsupported(path, format!("signed integers or {bits}-bit integers"))),
+    };
+    let stored = Stored { width: width as usize, height: height as usize, channels, samples, notes: Vec::new() };
+    if stored.pixels().samples.len() != stored.width * stored.height * channels {
+        return Err(unsupported(path, format!("{planes} separate planes for {channels} channels")));
+    }
+    Ok(stored.orient(orientation.unwrap_or(Orientation::NoTransforms)))
+}
+
+/// Interleaves the values of `planes` equally long planes.
+fn interleaved<T: Copy>(values: Vec<T>, planes: usize) -> Vec<T> {
+    if planes <= 1 {
+        return values;
+    }
+    let pixels = values.len() / planes;
+    (0..pixels).flat_map(|pixel| (0..planes).map(move |plane| plane * pixels + pixel)).map(|at| values[at]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn orientations_follow_the_exif_table() {
+        // The letter F in 3 x 2 pixels as the viewer shall see it, and what each orientation stores for it: EXIF 2.3 table 6
+        // names the place of the visual row 0 and column 0 in the file.
+        let upright = [1, 2, 3, 4, 5, 6];
+        let stored: [(u8, usize, [i32; 6]); 8] = [
+            (1, 3, [1, 2, 3, 4, 5, 6]),
+            (2, 3, [3, 2, 1, 6, 5, 4]),
+            (3, 3, [6, 5, 4, 3, 2, 1]),
+            (4, 3, [4, 5, 6, 1, 2, 3]),
+            (5, 2, [1, 4, 2, 5, 3, 6]),
+            (6, 2, [3, 6, 2, 5, 1, 4]),
+            (7, 2, [6, 3, 5, 2, 4, 1]),
+            (8, 2, [4, 1, 5, 2, 6, 3]),
+        ];
+        for (exif, width, values) in stored {
+            let orientation = Orientation::from_exif(exif).unwrap();
+            assert_eq!(oriented(&values, width, 6 / width, 1, orientation), upright, "orientation {exif}");
+        }
+    }
+
+    #[test]
+    fn planes_are_interleaved() {
+        assert_eq!(interleaved(vec![1, 2, 11, 12, 21, 22], 3), [1, 11, 21, 2, 12, 22]);
+    }
+
+    #[test]
+    fn lying_headers_are_refused() {
+        let path = Path::new("x.png");
+        assert!(check_size(path, 4096, 4096, 3, 1 << 20).is_ok());
+        assert!(check_size(path, 0, 4, 3, 100).is_err());
+        assert!(check_size(path, u64::MAX, 2, 3, 100).is_err());
+        assert!(check_size(path, 30_000, 30_000, 3, usize::MAX).is_err());
+        assert!(check_size(path, 4096, 4096, 3, 1000).is_err());
+    }
+}

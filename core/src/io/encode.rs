@@ -1,0 +1,100 @@
+//! Images to files.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+use tiff::encoder::{TiffEncoder, colortype};
+
+use super::decode::{broken, unsupported};
+use super::exr::{self, Precision};
+use super::save::write_files;
+use crate::color::Transfer;
+use crate::error::{Error, Result};
+use crate::image::Image;
+
+/// Writes a linear image, one or three channels, in the format of the file's extension: `.png` (8 bit, encoded with `transfer`
+/// and clamped to [0, 1]), `.exr` or `.tif`/`.tiff` (32-bit float, linear; `transfer` is not used). The file appears whole or
+/// not at all.
+///
+/// # Errors
+/// [`Error::UnsupportedFormat`] for another extension, [`Error::ShapeMismatch`] for another number of channels,
+/// [`Error::InvalidArgument`] for a value that is not finite, [`Error::Io`] if the file cannot be written.
+pub fn write_image(path: impl AsRef<Path>, image: &Image, transfer: Transfer) -> Result<()> {
+    let path = path.as_ref();
+    if !matches!(image.channels(), 1 | 3) {
+        return Err(Error::shape("image", "1 or 3 channels", image.channels().to_string()));
+    }
+    if let Some(at) = image.data().iter().position(|value| !value.is_finite()) {
+        let pixel = at / image.channels();
+        let (x, y) = (pixel % image.width(), pixel / image.width());
+        return Err(Error::invalid("image", format!("{} at column {x}, row {y}", image.data()[at])));
+    }
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let bytes = match extension.as_str() {
+        "png" => png8(path, image, transfer)?,
+        "exr" => exr::encode(path, image.width(), image.height(), &named_channels(image), Precision::Float)?,
+        "tif" | "tiff" => tiff_float(path, image)?,
+        other => return Err(unsupported(path, format!("extension {other:?}; written are .png, .exr and .tif"))),
+    };
+    write_files(&[(path.to_path_buf(), bytes)])
+}
+
+/// The channels of an image under the names OpenEXR gives them: Y for one, R, G for two, R, G, B for three.
+pub(super) fn named_channels(image: &Image) -> Vec<(&'static str, Vec<f32>)> {
+    let names: &[&'static str] = if image.channels() == 1 { &["Y"] } else { &["R", "G", "B"] };
+    let pixels = image.width() * image.height();
+    names.iter().copied().zip(image.to_planar().chunks_exact(pixels).map(<[f32]>::to_vec)).collect()
+}
+
+fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
+    let codes: Vec<u8> = image.data().iter().map(|&v| (transfer.encode(v).clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+    let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
+    png(path, image, &codes, color)
+}
+
+/// A PNG of 16 bits, the values encoded with `transfer`; two channels are written as R, G and B = 0.
+pub(super) fn png16(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
+    let image = &with_blue(image)?;
+    let code = |v: f32| (transfer.encode(v).clamp(0.0, 1.0) * 65535.0).round() as u16;
+    let bytes: Vec<u8> = image.data().iter().flat_map(|&v| code(v).to_ne_bytes()).collect();
+    let color = if image.channels() == 1 { ExtendedColorType::L16 } else { ExtendedColorType::Rgb16 };
+    png(path, image, &bytes, color)
+}
+
+fn png(path: &Path, image: &Image, bytes: &[u8], color: ExtendedColorType) -> Result<Vec<u8>> {
+    let (width, height) = size32(path, image)?;
+    let mut out = Vec::new();
+    PngEncoder::new(&mut out).write_image(bytes, width, height, color).map_err(|e| broken(path, e))?;
+    Ok(out)
+}
+
+/// A TIFF of 32-bit floats, the values as they are; two channels are written as R, G and B = 0.
+pub(super) fn tiff_float(path: &Path, image: &Image) -> Result<Vec<u8>> {
+    let image = &with_blue(image)?;
+    let (width, height) = size32(path, image)?;
+    let mut out = Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut out).map_err(|e| broken(path, e))?;
+    match image.channels() {
+        1 => encoder.write_image::<colortype::Gray32Float>(width, height, image.data()),
+        _ => encoder.write_image::<colortype::RGB32Float>(width, height, image.data()),
+    }
+    .map_err(|e| broken(path, e))?;
+    Ok(out.into_inner())
+}
+
+fn with_blue(image: &Image) -> Result<Image> {
+    if image.channels() != 2 {
+        return Ok(image.clone());
+    }
+    let data = image.data().chunks_exact(2).flat_map(|pixel| [pixel[0], pixel[1], 0.0]).collect();
+    Image::new(image.width(), image.height(), 3, data)
+}
+
+fn size32(path: &Path, image: &Image) -> Result<(u32, u32)> {
+    match (u32::try_from(image.width()), u32::try_from(image.height())) {
+        (Ok(width), Ok(height)) => Ok((width, height)),
+        _ => Err(unsupported(path, format!("an image of {} x {} pixels", image.width(), image.height()))),
+    }
+}

@@ -1,0 +1,155 @@
+//! OpenEXR, in and out. A file is the picture in its display window; pixels of the display window that the data window leaves
+//! out are black, as the format defines.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use exr::image::read::read;
+use exr::image::write::WritableImage;
+use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer};
+use exr::math::Vec2;
+use exr::meta::header::LayerAttributes;
+use exr::prelude::{ReadChannels, ReadLayers, f16};
+
+use super::decode::{OwnedSamples, Stored, broken, check_size, unsupported};
+use crate::error::{Error, Result};
+
+/// How the values of a written file are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Precision {
+    Half,
+    Float,
+}
+
+pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
+    let error = |e| exr_error(path, e);
+    let reader = exr::block::read(Cursor::new(bytes), false).map_err(error)?;
+    // The first part is read with all its channels; the picture takes up to three of them.
+    let Some(header) = reader.headers().first() else { return Err(broken(path, "no image in the file")) };
+    let channels = header.channels.list.len() as u64;
+    let data = (header.layer_size.width() as u64, header.layer_size.height() as u64);
+    check_size(path, data.0, data.1, 4 * channels, bytes.len())?;
+    let display = header.shared_attributes.display_window;
+    let display_size = (display.size.width() as u64, display.size.height() as u64);
+    check_size(path, display_size.0, display_size.1, 4 * channels, bytes.len())?;
+
+    let image = read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .from_chunks(reader)
+        .map_err(error)?;
+    let layer = image.layer_data;
+    let names: Vec<String> = layer.channel_data.list.iter().map(|channel| channel.name.to_string()).collect();
+    let find = |name: &str| names.iter().position(|other| other == name);
+    let picked = match (find("R"), find("G"), find("B"), find("Y")) {
+        (Some(r), Some(g), b, _) => vec![Some(r), Some(g), b],
+        (_, _, _, Some(y)) if find("RY").is_none() && find("BY").is_none() => vec![Some(y)],
+        _ => {
+            return Err(unsupported(path, format!("channels {}; read are R, G, B and Y", names.join(", "))));
+        }
+    };
+
+    let mut notes = Vec::new();
+    if find("A").is_some() {
+        notes.push("alpha ignored".to_owned());
+    }
+    let window = Window {
+        width: display.size.width(),
+        height: display.size.height(),
+        offset_x: i64::from(layer.attributes.layer_position.x()) - i64::from(display.position.x()),
+        offset_y: i64::from(layer.attributes.layer_position.y()) - i64::from(display.position.y()),
+        data_width: layer.size.width(),
+        data_height: layer.size.height(),
+    };
+    if !window.is_filled() {
+        notes.push("the data window leaves out part of the display window: read as 0".to_owned());
+    }
+    let mut values = vec![0.0; window.width * window.height * picked.len()];
+    for (c, &index) in picked.iter().enumerate() {
+        let Some(index) = index else { continue };
+        match &layer.channel_data.list[index].sample_data {
+            FlatSamples::F16(samples) => window.place(samples, |v| v.to_f32(), &mut values, c, picked.len()),
+            FlatSamples::F32(samples) => window.place(samples, |v| v, &mut values, c, picked.len()),
+            FlatSamples::U32(_) => return Err(unsupported(path, "integer channels; read are half and float")),
+        }
+    }
+    let (width, height) = (window.width, window.height);
+    Ok(Stored { width, height, channels: picked.len(), samples: OwnedSamples::F32(values), notes })
+}
+
+/// The display window, and where the data window lies in it.
+struct Window {
+    width: usize,
+    height: usize,
+    offset_x: i64,
+    offset_y: i64,
+    data_width: usize,
+    data_height: usize,
+}
+
+impl Window {
+    /// Whether the data window covers the display window.
+    fn is_filled(&self) -> bool {
+        self.offset_x <= 0
+            && self.offset_y <= 0
+            && self.offset_x + self.data_width as i64 >= self.width as i64
+            && self.offset_y + self.data_height as i64 >= self.height as i64
+    }
+
+    /// Copies the data window's samples of one channel to where they lie in the display window.
+    fn place<T: Copy>(&self, samples: &[T], value: impl Fn(T) -> f32, out: &mut [f32], channel: usize, channels: usize) {
+        for y in 0..self.height {
+            let data_y = y as i64 - self.offset_y;
+            if data_y < 0 || data_y >= self.data_height as i64 {
+                continue;
+            }
+            let start = self.offset_x.max(0);
+            let end = (self.offset_x + self.data_width as i64).min(self.width as i64);
+            for x in start..end {
+                let sample = samples[data_y as usize * self.data_width + (x - self.offset_x) as usize];
+                out[(y * self.width + x as usize) * channels + channel] = value(sample);
+            }
+        }
+    }
+}
+
+fn exr_error(path: &Path, error: exr::error::Error) -> Error {
+    match error {
+        exr::error::Error::NotSupported(reason) => unsupported(path, reason),
+        exr::error::Error::Io(error) => Error::io(path, error),
+        error => broken(path, error),
+    }
+}
+
+/// An OpenEXR file of the named channels, losslessly compressed.
+pub(super) fn encode(
+    path: &Path,
+    width: usize,
+    height: usize,
+    channels: &[(&str, Vec<f32>)],
+    precision: Precision,
+) -> Result<Vec<u8>> {
+    let list = channels
+        .iter()
+        .map(|(name, values)| {
+            let samples = match precision {
+                Precision::Half => FlatSamples::F16(values.iter().copied().map(f16::from_f32).collect()),
+                Precision::Float => FlatSamples::F32(values.clone()),
+            };
+            AnyChannel::new(*name, samples)
+        })
+        .collect();
+    let layer = Layer::new(
+        Vec2(width, height),
+        LayerAttributes::default(),
+        Encoding::SMALL_LOSSLESS,
+        AnyChannels::sort(list),
+    );
+    let mut bytes = Cursor::new(Vec::new());
+    ExrImage::from_layer(layer).write().non_parallel().to_buffered(&mut bytes).map_err(|e| exr_error(path, e))?;
+    Ok(bytes.into_inner())
+}

@@ -1,0 +1,40 @@
+//! Files: photos and renderings in and out, material folders, previews.
+//!
+//! Images are recognised by their first bytes, not by their names. What is read: PNG 8 and 16 bit, JPEG, TIFF 8 and 16 bit and
+//! half, single and double float, OpenEXR half and float. Orientation tags (EXIF, TIFF) are applied, so that row 0 is the row a
+//! viewer shows on top; an OpenEXR image is its display window. Colour profiles and gamma tags are not read: the transfer
+//! function is always stated by the caller or the capture.
+
+mod decode;
+mod encode;
+mod exr;
+pub(crate) mod resize;
+mod save;
+
+use std::path::Path;
+
+pub use encode::write_image;
+
+use crate::color::Transfer;
+use crate::error::Result;
+use crate::image::Image;
+
+pub(crate) use decode::{Pixels, Stored, read_stored};
+pub use decode::{MAX_DECODED_BYTES, Samples};
+
+/// Reads an image file as linear values: (H, W, 3) for colour, (H, W, 1) for grey. An alpha channel is left out.
+///
+/// # Errors
+/// [`Error::Io`](crate::Error::Io) for a missing, truncated or broken file, [`Error::UnsupportedFormat`](crate::Error::UnsupportedFormat)
+/// for one of a kind that is not read, [`Error::InvalidArgument`](crate::Error::InvalidArgument) for one whose header states an absurd size.
+pub fn read_image(path: impl AsRef<Path>, transfer: Transfer) -> Result<Image> {
+    read_stored(path.as_ref())?.to_image(transfer)
+}
+
+/// [`read_image`] of a file that is already in memory; `name` is what messages call it.
+///
+/// # Errors
+/// As [`read_image`].
+pub fn decode_image(name: &str, bytes: &[u8], transfer: Transfer) -> Result<Image> {
+    decode::decode(Path::new(name), bytes)?.to_image(transfer)
+}
