@@ -5,11 +5,12 @@ pub mod color;
 pub mod error;
 pub mod fit;
 pub mod image;
+pub mod io;
 pub mod maps;
 pub mod material;
 pub mod nn;
 
-pub use capture::{Capture, Photo, Shot};
+pub use capture::{Capture, CaptureOptions, Photo, PhotoPixels, Shot};
 pub use color::Transfer;
 pub use error::{Error, Result};
 pub use image::Image;

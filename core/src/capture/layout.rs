@@ -67,11 +67,12 @@ impl Layout {
             }
             (Some(CaptureFile::FORMAT), version) => Err(unsupported(
                 path,
-                format!("version {}; this release reads version 1", version.map_or("missing".to_owned(), |v| v.to_string())),
+                format!(
+                    "version {}; this release reads version 1",
+                    version.map_or("missing".to_owned(), |v| v.to_string())
+                ),
             )),
-            (None, _) if head.target_dir.is_some() => {
-                parse_json::<DiffRendererFile>(path, &text)?.into_layout(path)
-            }
+            (None, _) if head.target_dir.is_some() => parse_json::<DiffRendererFile>(path, &text)?.into_layout(path),
             (format, _) => Err(unsupported(
                 path,
                 format!(
@@ -97,7 +98,9 @@ impl Layout {
         let intensity_path = folder.join("light_power.txt");
         let intensity = match read_rows(&intensity_path)?.as_slice() {
             &[rgb] => rgb,
-            rows => return Err(Error::shape(name_of(&intensity_path), "one line r,g,b", format!("{} lines", rows.len()))),
+            rows => {
+                return Err(Error::shape(name_of(&intensity_path), "one line r,g,b", format!("{} lines", rows.len())));
+            }
         };
         let photos = numbered_photos(folder)?;
         if let Some((_, file)) = photos.iter().find(|&(&number, _)| number >= cameras.len()) {
@@ -293,7 +296,10 @@ fn numbered_photos(folder: &Path) -> Result<BTreeMap<usize, String>> {
         if let Some(other) = photos.insert(number, name.to_owned()) {
             let mut both = [other, name.to_owned()];
             both.sort();
-            return Err(Error::invalid(name_of(folder), format!("{} and {} are both photo {number}", both[0], both[1])));
+            return Err(Error::invalid(
+                name_of(folder),
+                format!("{} and {} are both photo {number}", both[0], both[1]),
+            ));
         }
     }
     Ok(photos)

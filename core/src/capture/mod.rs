@@ -208,7 +208,7 @@ impl Capture {
         let loaded = selected
             .par_iter()
             .map(|photo| {
-                let &PhotoPixels { name, shot, width, height, channels, samples } = **photo;
+                let PhotoPixels { name, shot, width, height, channels, samples } = **photo;
                 let pixels = Pixels { width, height, channels, samples };
                 develop(name, shot, pixels, transfer, white_level, options.size)
             })
@@ -269,8 +269,11 @@ impl Capture {
         notes.sort();
         notes.dedup();
         for note in notes {
-            let names: Vec<&str> =
-                loaded.iter().filter(|photo| photo.notes.contains(note)).map(|photo| photo.photo.name.as_str()).collect();
+            let names: Vec<&str> = loaded
+                .iter()
+                .filter(|photo| photo.notes.contains(note))
+                .map(|photo| photo.photo.name.as_str())
+                .collect();
             warnings.push(format!("{}: {note}", names.join(", ")));
         }
         let photos = loaded.into_iter().map(|loaded| loaded.photo).collect();
@@ -402,7 +405,10 @@ fn check_views(views: &[usize], photos: usize) -> Result<&[usize]> {
     }
     for (i, &view) in views.iter().enumerate() {
         if view >= photos {
-            return Err(Error::invalid("views", format!("photo {view} of a capture of {photos} photos, counted from 0")));
+            return Err(Error::invalid(
+                "views",
+                format!("photo {view} of a capture of {photos} photos, counted from 0"),
+            ));
         }
         if views[..i].contains(&view) {
             return Err(Error::invalid("views", format!("photo {view} is named twice")));

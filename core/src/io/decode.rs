@@ -280,7 +280,9 @@ pub(super) fn check_size(path: &Path, width: u64, height: u64, bytes_per_pixel: 
     let Some(needed) = needed.filter(|&needed| needed <= MAX_DECODED_BYTES) else {
         return Err(Error::invalid(
             name(),
-            format!("image of {width} x {height} pixels with {bytes_per_pixel} bytes each, at most {MAX_DECODED_BYTES} bytes are read"),
+            format!(
+                "image of {width} x {height} pixels with {bytes_per_pixel} bytes each, at most {MAX_DECODED_BYTES} bytes are read"
+            ),
         ));
     };
     if needed > plausible_bytes(file_bytes) {

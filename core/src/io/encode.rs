@@ -49,7 +49,8 @@ pub(super) fn named_channels(image: &Image) -> Vec<(&'static str, Vec<f32>)> {
 }
 
 fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
-    let codes: Vec<u8> = image.data().iter().map(|&v| (transfer.encode(v).clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+    let codes: Vec<u8> =
+        image.data().iter().map(|&v| (transfer.encode(v).clamp(0.0, 1.0) * 255.0).round() as u8).collect();
     let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
     png(path, image, &codes, color)
 }

@@ -101,7 +101,14 @@ impl Window {
     }
 
     /// Copies the data window's samples of one channel to where they lie in the display window.
-    fn place<T: Copy>(&self, samples: &[T], value: impl Fn(T) -> f32, out: &mut [f32], channel: usize, channels: usize) {
+    fn place<T: Copy>(
+        &self,
+        samples: &[T],
+        value: impl Fn(T) -> f32,
+        out: &mut [f32],
+        channel: usize,
+        channels: usize,
+    ) {
         for y in 0..self.height {
             let data_y = y as i64 - self.offset_y;
             if data_y < 0 || data_y >= self.data_height as i64 {
@@ -143,12 +150,8 @@ pub(super) fn encode(
             AnyChannel::new(*name, samples)
         })
         .collect();
-    let layer = Layer::new(
-        Vec2(width, height),
-        LayerAttributes::default(),
-        Encoding::SMALL_LOSSLESS,
-        AnyChannels::sort(list),
-    );
+    let layer =
+        Layer::new(Vec2(width, height), LayerAttributes::default(), Encoding::SMALL_LOSSLESS, AnyChannels::sort(list));
     let mut bytes = Cursor::new(Vec::new());
     ExrImage::from_layer(layer).write().non_parallel().to_buffered(&mut bytes).map_err(|e| exr_error(path, e))?;
     Ok(bytes.into_inner())

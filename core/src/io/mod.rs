@@ -19,8 +19,8 @@ use crate::color::Transfer;
 use crate::error::Result;
 use crate::image::Image;
 
-pub(crate) use decode::{Pixels, Stored, read_stored};
 pub use decode::{MAX_DECODED_BYTES, Samples};
+pub(crate) use decode::{Pixels, RowReader, read_file, read_stored};
 
 /// Reads an image file as linear values: (H, W, 3) for colour, (H, W, 1) for grey. An alpha channel is left out.
 ///

@@ -57,9 +57,8 @@ impl Footprint {
     fn new(n: usize, m: usize, j: usize) -> Self {
         let (from, to) = (j * n, (j + 1) * n);
         let start = from / m;
-        let weights = (start..to.div_ceil(m))
-            .map(|s| (((s + 1) * m).min(to) - (s * m).max(from)) as f64 / n as f64)
-            .collect();
+        let weights =
+            (start..to.div_ceil(m)).map(|s| (((s + 1) * m).min(to) - (s * m).max(from)) as f64 / n as f64).collect();
         Self { start, weights }
     }
 }
