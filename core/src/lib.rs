@@ -1,5 +1,6 @@
 //! Materials (SVBRDF maps) from flash photos.
 
+pub mod brdf;
 pub mod capture;
 pub mod color;
 pub mod error;
@@ -9,6 +10,7 @@ pub mod io;
 pub mod maps;
 pub mod material;
 pub mod nn;
+pub mod render;
 
 pub use capture::{Capture, CaptureOptions, Photo, PhotoPixels, Shot};
 pub use color::Transfer;

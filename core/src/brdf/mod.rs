@@ -1,0 +1,434 @@
+//! The shading model: Lambertian diffuse and a GGX lobe, isotropic or anisotropic, with its gradient written out.
+//!
+//! Per point, with unit normal n, directions v to the camera and l to the light, h = (v + l)/|v + l|, alpha = roughness^2:
+//!
+//! `radiance = (d (1 - s)/pi + D F G / (4 (n.v)(n.l))) * n.l * light_intensity / distance_to_light^2`, zero where n.l <= 0 or n.v <= 0,
+//!
+//! d and s the diffuse and specular albedo, [`ndf`] D, [`fresnel`] F, [`masking`] G (isotropic: Schlick's form with k = alpha/2;
+//! anisotropic: separable Smith). Normal and tangent are normalised inside, the tangent made orthogonal to the normal first,
+//! and the gradient goes through that. Roughness below [`ROUGHNESS_MIN`] renders as [`ROUGHNESS_MIN`] and has no gradient;
+//! there is no other floor. A normal of length 0 renders black; a tangent that is 0 or parallel to the normal (to 1e-5) is
+//! replaced by one along x or y, without gradient.
+//!
+//! # How it stays exact
+//! 1 - (n.h)^2 is |n x h|^2, (n.v)(n.l) of the denominator cancels against G, and the few products in which nearly equal numbers
+//! meet (n.v, n.l, n x h, n x t and the half vector) are formed in double precision from vectors that are not yet normalised.
+//! All else is a chain of multiplications, divisions and sums of like signs, so single precision holds down to the smallest roughness.
+//!
+//! Everything stays finite while light intensity over squared distance is below 1e12.
+
+pub mod fresnel;
+pub mod masking;
+pub mod ndf;
+pub mod real;
+
+use crate::capture::Shot;
+use crate::maps::Lobe;
+use fresnel::fresnel_spherical_gaussian_weight;
+use masking::{masking_g1_smith_anisotropic, visibility_schlick};
+use ndf::{ndf_ggx, ndf_ggx_anisotropic};
+use real::{Arithmetic, Lanes, Real, add_scaled, cross, dot, scale};
+
+pub use ndf::ALPHA_MIN;
+
+/// Smallest (perceptual) roughness the model renders; below it, it renders this one.
+pub const ROUGHNESS_MIN: f64 = 1e-3;
+
+/// What the maps say about one point; also the gradient with respect to it.
+///
+/// Isotropic shading reads `roughness[0]` and no tangent, and gives them no gradient.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface<T> {
+    /// Diffuse albedo, RGB, linear, [0, 1].
+    pub diffuse: [T; 3],
+    /// Normal, any length but 0.
+    pub normal: [T; 3],
+    /// Perceptual roughness (x, y), [0, 1].
+    pub roughness: [T; 2],
+    /// Specular albedo (F0), RGB, linear, [0, 1].
+    pub specular: [T; 3],
+    /// Tangent, any length but 0, not parallel to the normal.
+    pub tangent: [T; 3],
+}
+
+/// Radiance that a camera sees at one point, RGB, in the unit of the light's intensity over length squared.
+///
+/// `position` is the point in the frame and unit of `shot`. See the [module's documentation](self) for the model.
+pub fn shade_point<T: Real>(lobe: Lobe, surface: &Surface<T>, position: [f64; 3], shot: &Shot) -> [T; 3] {
+    let (camera, light) = offsets::<T>(position, shot);
+    match lobe {
+        Lobe::Isotropic => shade::<T, false>(surface, camera, light, shot),
+        Lobe::Anisotropic => shade::<T, true>(surface, camera, light, shot),
+    }
+}
+
+/// [`shade_point`], and the gradient of `sum(radiance * weight)` with respect to all of `surface`.
+pub fn shade_point_gradient<T: Real>(
+    lobe: Lobe,
+    surface: &Surface<T>,
+    position: [f64; 3],
+    shot: &Shot,
+    weight: [T; 3],
+) -> ([T; 3], Surface<T>) {
+    let (camera, light) = offsets::<T>(position, shot);
+    match lobe {
+        Lobe::Isotropic => shade_gradient::<T, false>(surface, camera, light, shot, weight),
+        Lobe::Anisotropic => shade_gradient::<T, true>(surface, camera, light, shot, weight),
+    }
+}
+
+type Wide3<L> = [<L as Lanes>::Wide; 3];
+
+fn offsets<L: Lanes>(position: [f64; 3], shot: &Shot) -> (Wide3<L>, Wide3<L>) {
+    let to = |target: [f64; 3]| std::array::from_fn(|i| L::Wide::splat(target[i] - position[i]));
+    (to(shot.camera), to(shot.light))
+}
+
+fn intensity<L: Lanes>(shot: &Shot) -> [L; 3] {
+    shot.light_intensity.map(L::splat)
+}
+
+fn directions<L: Lanes>(camera: Wide3<L>, light: Wide3<L>, shot: &Shot) -> Directions<L> {
+    if shot.camera == shot.light { Directions::collocated(camera) } else { Directions::separate(camera, light) }
+}
+
+fn shade<T: Real, const ANISOTROPIC: bool>(
+    surface: &Surface<T>,
+    camera: Wide3<T>,
+    light: Wide3<T>,
+    shot: &Shot,
+) -> [T; 3] {
+    let frame = Frame::<T, ANISOTROPIC>::new(surface);
+    Response::new(&frame, &directions::<T>(camera, light, shot)).radiance(surface, intensity::<T>(shot))
+}
+
+fn shade_gradient<T: Real, const ANISOTROPIC: bool>(
+    surface: &Surface<T>,
+    camera: Wide3<T>,
+    light: Wide3<T>,
+    shot: &Shot,
+    weight: [T; 3],
+) -> ([T; 3], Surface<T>) {
+    let frame = Frame::<T, ANISOTROPIC>::new(surface);
+    let response = Response::new(&frame, &directions::<T>(camera, light, shot));
+    let intensity = intensity::<T>(shot);
+    let mut gradient = FrameGradient::zero();
+    gradient.add(surface, &response, std::array::from_fn(|c| weight[c] * intensity[c]));
+    (response.radiance(surface, intensity), gradient.finish(&frame))
+}
+
+/// Where camera and light are seen from a point: all that the shading needs of a photo, and independent of the maps.
+#[derive(Clone, Copy)]
+pub(crate) struct Directions<L: Lanes> {
+    /// Vectors to camera and light and along the half vector, of any length.
+    camera: Wide3<L>,
+    light: Wide3<L>,
+    half: Wide3<L>,
+    /// One over their lengths.
+    inverse_camera: L,
+    inverse_light: L,
+    inverse_half: L,
+    /// Weight of white in the Fresnel term.
+    fresnel: L,
+}
+
+impl<L: Lanes> Directions<L> {
+    /// Camera and light at the same place, `camera` away from the point.
+    #[inline(always)]
+    pub(crate) fn collocated(camera: Wide3<L>) -> Self {
+        let inverse = inverse_length(narrow::<L>(camera));
+        Self {
+            camera,
+            light: camera,
+            half: camera,
+            inverse_camera: inverse,
+            inverse_light: inverse,
+            inverse_half: inverse,
+            fresnel: fresnel_spherical_gaussian_weight(L::splat(1.0)),
+        }
+    }
+
+    /// Camera and light at the ends of two vectors from the point.
+    #[inline(always)]
+    pub(crate) fn separate(camera: Wide3<L>, light: Wide3<L>) -> Self {
+        let camera_length = dot(camera, camera).sqrt();
+        let light_length = dot(light, light).sqrt();
+        // v |l| + l |v| points along the half vector and is as long as |v + l| |v| |l| for unit v + l.
+        let half = add_scaled(camera, light_length, scale(light, camera_length));
+        let inverse_camera = inverse(L::narrow(camera_length));
+        let inverse_light = inverse(L::narrow(light_length));
+        let half_length = L::narrow(dot(half, half).sqrt());
+        // v.h = |v + l| / 2 for unit vectors.
+        let v_dot_h = (half_length * inverse_camera * inverse_light * L::splat(0.5)).min(L::splat(1.0));
+        Self {
+            camera,
+            light,
+            half,
+            inverse_camera,
+            inverse_light,
+            inverse_half: inverse(half_length),
+            fresnel: fresnel_spherical_gaussian_weight(v_dot_h),
+        }
+    }
+}
+
+/// Shortest length a vector is divided by; what is shorter counts as 0.
+const LENGTH_MIN: f64 = 1e-15;
+
+#[inline(always)]
+fn inverse<L: Lanes>(length: L) -> L {
+    L::splat(1.0) / length.max(L::splat(LENGTH_MIN))
+}
+
+#[inline(always)]
+fn inverse_length<L: Lanes>(vector: [L; 3]) -> L {
+    inverse(dot(vector, vector).sqrt())
+}
+
+#[inline(always)]
+fn narrow<L: Lanes>(vector: Wide3<L>) -> [L; 3] {
+    vector.map(L::narrow)
+}
+
+/// Local frame and microfacet widths of a point: what the shading needs of the maps besides the albedos, once for all photos.
+#[derive(Clone, Copy)]
+pub(crate) struct Frame<L: Lanes, const ANISOTROPIC: bool> {
+    stored_normal: Wide3<L>,
+    /// One over the length of the stored normal.
+    inverse_normal: L,
+    normal: [L; 3],
+    /// Clamped roughness, its square, and 1 where it was not clamped, else 0.
+    roughness: [L; 2],
+    alpha: [L; 2],
+    roughness_free: [L; 2],
+    tangent: [L; 3],
+    bitangent: [L; 3],
+    /// n.T / T.t and 1 / T.t of the stored tangent T: how far the frame turns about n when the normal or T move along b. 0 for a replaced tangent.
+    turn_by_normal: L,
+    turn_by_tangent: L,
+}
+
+impl<L: Lanes, const ANISOTROPIC: bool> Frame<L, ANISOTROPIC> {
+    #[inline(always)]
+    pub(crate) fn new(surface: &Surface<L>) -> Self {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let stored_normal = surface.normal.map(L::widen);
+        let inverse_normal = inverse_length(surface.normal);
+        let normal = scale(surface.normal, inverse_normal);
+
+        let minimum = L::splat(ROUGHNESS_MIN);
+        let roughness = surface.roughness.map(|roughness| roughness.max(minimum));
+        let roughness_free = surface.roughness.map(|roughness| L::select(minimum.gt(roughness), zero, one));
+
+        let mut frame = Self {
+            stored_normal,
+            inverse_normal,
+            normal,
+            roughness,
+            alpha: roughness.map(|roughness| roughness * roughness),
+            roughness_free,
+            tangent: [zero; 3],
+            bitangent: [zero; 3],
+            turn_by_normal: zero,
+            turn_by_tangent: zero,
+        };
+        if ANISOTROPIC {
+            let product = narrow::<L>(cross(stored_normal, surface.tangent.map(L::widen)));
+            let product2 = dot(product, product);
+            let parallel =
+                L::splat(1e-10) * dot(surface.normal, surface.normal) * dot(surface.tangent, surface.tangent);
+            let good = product2.gt(parallel);
+            let [x, y, z] = normal;
+            let steep = x.abs().gt(L::splat(0.8));
+            // n x (1, 0, 0), or n x (0, 1, 0) where the normal is near x.
+            let spare = [L::select(steep, -z, zero), L::select(steep, zero, z), L::select(steep, x, -y)];
+            let bitangent: [L; 3] = std::array::from_fn(|i| L::select(good, product[i], spare[i]));
+            frame.bitangent = scale(bitangent, inverse_length(bitangent));
+            frame.tangent = cross(frame.bitangent, normal);
+            let inverse_tangent = one / (L::select(good, product2, one).sqrt() * inverse_normal);
+            frame.turn_by_tangent = L::select(good, inverse_tangent, zero);
+            frame.turn_by_normal = frame.turn_by_tangent * dot(normal, surface.tangent);
+        }
+        frame
+    }
+
+    /// A unit vector in the frame (tangent, bitangent, normal), given its cosine.
+    #[inline(always)]
+    fn local(&self, direction: [L; 3], cosine: L) -> [L; 3] {
+        [dot(direction, self.tangent), dot(direction, self.bitangent), cosine]
+    }
+}
+
+/// How a point answers to one light and camera.
+///
+/// The radiance of channel c is `irradiance_c * (d_c (1 - s_c)/pi * cosine + F_c * lobe)` with `F_c = s_c + (1 - s_c) * fresnel`:
+/// only the scalars `cosine` and `lobe` depend on normal, roughness and tangent, and their derivatives are what this holds.
+#[derive(Clone, Copy)]
+pub(crate) struct Response<L: Lanes> {
+    /// n.l where the point is lit and seen, else 0.
+    pub(crate) cosine: L,
+    /// D G / (4 (n.v) (n.l)) * n.l where the point is lit and seen, else 0.
+    pub(crate) lobe: L,
+    /// Weight of white in the Fresnel term.
+    pub(crate) fresnel: L,
+    /// 1 / distance_to_light^2 where the point is lit and seen, else 0.
+    pub(crate) falloff: L,
+    /// Derivative of `cosine` by the unit normal (to be projected on the tangent plane, as the next).
+    pub(crate) cosine_by_normal: [L; 3],
+    /// Derivative of `lobe` by the unit normal, the frame turning with it without twisting.
+    pub(crate) lobe_by_normal: [L; 3],
+    /// Derivative of `lobe` by the clamped roughness.
+    pub(crate) lobe_by_roughness: [L; 2],
+    /// Derivative of `lobe` by a turn of the frame about the normal, in radians from tangent to bitangent.
+    pub(crate) lobe_by_turn: L,
+}
+
+impl<L: Lanes> Response<L> {
+    #[inline(always)]
+    pub(crate) fn new<const ANISOTROPIC: bool>(frame: &Frame<L, ANISOTROPIC>, to: &Directions<L>) -> Self {
+        let (zero, one, two) = (L::splat(0.0), L::splat(1.0), L::splat(2.0));
+        let n_dot_v = L::narrow(dot(frame.stored_normal, to.camera)) * (frame.inverse_normal * to.inverse_camera);
+        let n_dot_l = L::narrow(dot(frame.stored_normal, to.light)) * (frame.inverse_normal * to.inverse_light);
+        let visible = n_dot_v.gt(zero) & n_dot_l.gt(zero);
+        let n_dot_v = L::select(visible, n_dot_v, one);
+        let n_dot_l = L::select(visible, n_dot_l, one);
+        let view_dir = scale(narrow::<L>(to.camera), to.inverse_camera);
+        let light_dir = scale(narrow::<L>(to.light), to.inverse_light);
+        let half_vector = scale(narrow::<L>(to.half), to.inverse_half);
+        let n_cross_h = scale(narrow::<L>(cross(frame.stored_normal, to.half)), frame.inverse_normal * to.inverse_half);
+        let sin2 = dot(n_cross_h, n_cross_h);
+
+        let (lobe, lobe_by_normal, lobe_by_roughness, lobe_by_turn);
+        if ANISOTROPIC {
+            let n_dot_h = dot(frame.normal, half_vector);
+            // h.t = b.(n x h), h.b = -t.(n x h): small where h is near n, and exact there.
+            let half = [dot(frame.bitangent, n_cross_h), -dot(frame.tangent, n_cross_h), n_dot_h];
+            let view = frame.local(view_dir, n_dot_v);
+            let light = frame.local(light_dir, n_dot_l);
+            let d = ndf_ggx_anisotropic(half, frame.alpha);
+            let masking = masking_g1_smith_anisotropic(view, frame.alpha);
+            let shadowing = masking_g1_smith_anisotropic(light, frame.alpha);
+            let per_cosine = d.value * masking.value * shadowing.value;
+            lobe = per_cosine * n_dot_l;
+
+            // Turning n towards t takes t to -n, and likewise b; turning t towards b takes b to -t.
+            let turn = |slope: [L; 3], u: [L; 3], from: usize, to: usize| slope[to] * u[from] - slope[from] * u[to];
+            let mut light_slope = shadowing.d_direction;
+            light_slope[2] = zero;
+            let along = |from: usize, to: usize| {
+                turn(d.d_half, half, from, to)
+                    + turn(masking.d_direction, view, from, to)
+                    + turn(light_slope, light, from, to)
+            };
+            let normal_slope = per_cosine * shadowing.d_with_cosine;
+            let by_t = lobe.mul_add(along(0, 2), normal_slope * light[0]);
+            let by_b = lobe.mul_add(along(1, 2), normal_slope * light[1]);
+            lobe_by_normal = add_scaled(frame.tangent, by_t, scale(frame.bitangent, by_b));
+            lobe_by_turn = lobe * along(1, 0);
+            lobe_by_roughness = std::array::from_fn(|i| {
+                lobe * (d.d_ln_alpha[i] + masking.d_ln_alpha[i] + shadowing.d_ln_alpha[i]) * two / frame.roughness[i]
+            });
+        } else {
+            let (roughness, alpha) = (frame.roughness[0], frame.alpha[0]);
+            let d = ndf_ggx(sin2, alpha);
+            let visibility = visibility_schlick(n_dot_v, n_dot_l, L::splat(0.5) * alpha);
+            let per_cosine = d.value * visibility.value;
+            lobe = per_cosine * n_dot_l;
+            // d |n x h|^2 / d n = 2 h x (n x h).
+            let by_half = scale(cross(half_vector, n_cross_h), two * d.d_sin2);
+            lobe_by_normal = add_scaled(
+                light_dir,
+                per_cosine * visibility.d_n_dot_l,
+                scale(add_scaled(view_dir, visibility.d_n_dot_v, by_half), lobe),
+            );
+            // d ln alpha / d roughness = 2 / roughness, d k / d roughness = roughness.
+            let by_roughness = visibility.d_k.mul_add(roughness, two * d.d_ln_alpha / roughness);
+            lobe_by_roughness = [lobe * by_roughness, zero];
+            lobe_by_turn = zero;
+        }
+        Self {
+            cosine: L::select(visible, n_dot_l, zero),
+            lobe: L::select(visible, lobe, zero),
+            fresnel: to.fresnel,
+            falloff: L::select(visible, to.inverse_light * to.inverse_light, zero),
+            cosine_by_normal: light_dir,
+            lobe_by_normal,
+            lobe_by_roughness,
+            lobe_by_turn,
+        }
+    }
+
+    /// The radiance, given the light's intensity.
+    #[inline(always)]
+    pub(crate) fn radiance(&self, surface: &Surface<L>, intensity: [L; 3]) -> [L; 3] {
+        std::array::from_fn(|c| {
+            let diffuse =
+                surface.diffuse[c] * (L::splat(1.0) - surface.specular[c]) * L::splat(std::f64::consts::FRAC_1_PI);
+            diffuse.mul_add(self.cosine, self.fresnel_of(surface, c) * self.lobe) * (intensity[c] * self.falloff)
+        })
+    }
+
+    #[inline(always)]
+    fn fresnel_of(&self, surface: &Surface<L>, channel: usize) -> L {
+        (L::splat(1.0) - surface.specular[channel]).mul_add(self.fresnel, surface.specular[channel])
+    }
+}
+
+/// Gradient with respect to albedos, unit normal, clamped roughness and the frame's turn, summed over photos.
+#[derive(Clone, Copy)]
+pub(crate) struct FrameGradient<L: Lanes> {
+    diffuse: [L; 3],
+    specular: [L; 3],
+    normal: [L; 3],
+    roughness: [L; 2],
+    turn: L,
+}
+
+impl<L: Lanes> FrameGradient<L> {
+    #[inline(always)]
+    pub(crate) fn zero() -> Self {
+        let zero = L::splat(0.0);
+        Self { diffuse: [zero; 3], specular: [zero; 3], normal: [zero; 3], roughness: [zero; 2], turn: zero }
+    }
+
+    /// Adds one photo's part, `weight` being the derivative of the loss by the radiance, times the light's intensity.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, surface: &Surface<L>, response: &Response<L>, weight: [L; 3]) {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let (mut by_cosine, mut by_lobe) = (zero, zero);
+        for (c, &weight) in weight.iter().enumerate() {
+            let weight = weight * response.falloff;
+            let rest = one - surface.specular[c];
+            let lambert = response.cosine * L::splat(std::f64::consts::FRAC_1_PI);
+            self.diffuse[c] = (weight * rest).mul_add(lambert, self.diffuse[c]);
+            let lobe_slope = response.lobe * (one - response.fresnel);
+            self.specular[c] = weight.mul_add(lobe_slope - surface.diffuse[c] * lambert, self.specular[c]);
+            by_cosine = weight.mul_add(surface.diffuse[c] * rest, by_cosine);
+            by_lobe = weight.mul_add(response.fresnel_of(surface, c), by_lobe);
+        }
+        let by_cosine = by_cosine * L::splat(std::f64::consts::FRAC_1_PI);
+        self.normal =
+            add_scaled(response.cosine_by_normal, by_cosine, add_scaled(response.lobe_by_normal, by_lobe, self.normal));
+        for (sum, slope) in self.roughness.iter_mut().zip(response.lobe_by_roughness) {
+            *sum = by_lobe.mul_add(slope, *sum);
+        }
+        self.turn = by_lobe.mul_add(response.lobe_by_turn, self.turn);
+    }
+
+    /// The gradient with respect to what is stored: through the normalisations and the clamp of the roughness.
+    #[inline(always)]
+    pub(crate) fn finish<const ANISOTROPIC: bool>(self, frame: &Frame<L, ANISOTROPIC>) -> Surface<L> {
+        let mut normal = add_scaled(frame.normal, -dot(frame.normal, self.normal), self.normal);
+        if ANISOTROPIC {
+            // Moving n along b with the stored tangent held turns the tangent by -n.T / T.t.
+            normal = add_scaled(frame.bitangent, -self.turn * frame.turn_by_normal, normal);
+        }
+        Surface {
+            diffuse: self.diffuse,
+            normal: scale(normal, frame.inverse_normal),
+            roughness: std::array::from_fn(|i| self.roughness[i] * frame.roughness_free[i]),
+            specular: self.specular,
+            tangent: scale(frame.bitangent, self.turn * frame.turn_by_tangent),
+        }
+    }
+}

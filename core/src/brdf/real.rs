@@ -1,0 +1,271 @@
+//! The arithmetic that the shading model, the renderer and other vectorised kernels are written in, once.
+//!
+//! A kernel is generic over [`Lanes`]: a bundle of one (`f32`, `f64`) or several numbers on which all operations work element
+//! by element. [`Real`] are the two element types of maps, and [`Real::run`] picks the widest bundle that the processor at hand
+//! computes on. Everything is `#[inline(always)]`, so that a kernel becomes one straight piece of code.
+
+use std::fmt::Debug;
+use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for f32 {}
+    impl Sealed for f64 {}
+}
+pub(super) use sealed::Sealed;
+
+/// What single and double precision bundles have in common.
+pub trait Arithmetic:
+    Sealed + Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self>
+{
+    /// `value`, rounded to this precision, in every element.
+    fn splat(value: f64) -> Self;
+
+    /// `self * factor + term`; with one rounding where the processor has such an instruction.
+    fn mul_add(self, factor: Self, term: Self) -> Self;
+
+    /// Square root.
+    fn sqrt(self) -> Self;
+}
+
+/// The double precision twin of a [`Lanes`] bundle: for the few steps of a kernel in which single precision would cancel.
+pub trait Wide: Arithmetic {
+    /// The first elements of `values`; missing ones are 0.
+    fn load(values: &[f64]) -> Self;
+
+    /// Sum of the elements, in a fixed order.
+    fn sum(self) -> f64;
+}
+
+/// One or several numbers of one precision, computed on element by element.
+pub trait Lanes: Arithmetic + Div<Output = Self> {
+    /// The type of the elements in memory.
+    type Scalar: Copy;
+    /// As many elements in double precision.
+    type Wide: Wide;
+    /// One truth value for each element.
+    type Mask: Copy + BitAnd<Output = Self::Mask> + BitOr<Output = Self::Mask> + Not<Output = Self::Mask>;
+    /// Elements of a bundle.
+    const LANES: usize;
+
+    /// The first elements of `values`; missing ones are 0.
+    fn load(values: &[Self::Scalar]) -> Self;
+
+    /// As [`Lanes::load`], from single precision.
+    fn load_f32(values: &[f32]) -> Self;
+
+    /// Writes the first elements to `values`, as many as it holds.
+    fn store(self, values: &mut [Self::Scalar]);
+
+    /// The elements in double precision.
+    fn widen(self) -> Self::Wide;
+
+    /// The elements of `wide`, rounded.
+    fn narrow(wide: Self::Wide) -> Self;
+
+    /// The larger of two; `other` where an element of `self` is NaN.
+    fn max(self, other: Self) -> Self;
+
+    /// The smaller of two; `other` where an element of `self` is NaN.
+    fn min(self, other: Self) -> Self;
+
+    /// Absolute value.
+    fn abs(self) -> Self;
+
+    /// Where `self > other`; nowhere if one is NaN.
+    fn gt(self, other: Self) -> Self::Mask;
+
+    /// Where bit `bit` of an element's byte is set; missing bytes are 0.
+    fn bits_set(bytes: &[u8], bit: u32) -> Self::Mask;
+
+    /// `yes` where `mask` holds, else `no`.
+    fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
+
+    /// `2^self`, relative error below 2e-7 in single precision; 0 below the normal range and infinity above it.
+    fn exp2(self) -> Self;
+
+    /// Base-2 logarithm of a positive normal number: in single precision within 2e-7 relative or 1e-7 absolute, whichever is more.
+    fn log2(self) -> Self;
+
+    /// `self^exponent` for positive normal `self` and a constant exponent of magnitude below 16; 0 gives 0 for a positive exponent.
+    /// Relative error below 3e-7 in single precision.
+    fn pow(self, exponent: f64) -> Self;
+}
+
+/// The element types of maps: `f32`, on which users run, and `f64`, on which gradients are checked.
+pub trait Real: Lanes<Scalar = Self> + Debug + Default + PartialOrd + Send + Sync + 'static {
+    /// Runs `kernel` on the widest bundle of this type that the processor computes on.
+    fn run<K: Kernel<Self>>(kernel: K) -> K::Output;
+
+    /// The value in double precision.
+    fn to_f64(self) -> f64;
+}
+
+/// Work written once for every bundle of `R`.
+pub trait Kernel<R: Real> {
+    /// What the work gives.
+    type Output;
+
+    /// Does the work; to be `#[inline(always)]`.
+    fn run<L: Lanes<Scalar = R>>(self) -> Self::Output;
+}
+
+macro_rules! scalar {
+    ($type:ident) => {
+        impl Arithmetic for $type {
+            #[inline(always)]
+            fn splat(value: f64) -> Self {
+                value as $type
+            }
+
+            // The library function would be a call on processors without the instruction, and slower than all the rest.
+            #[inline(always)]
+            fn mul_add(self, factor: Self, term: Self) -> Self {
+                self * factor + term
+            }
+
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                $type::sqrt(self)
+            }
+        }
+
+        impl Lanes for $type {
+            type Scalar = $type;
+            type Wide = f64;
+            type Mask = bool;
+            const LANES: usize = 1;
+
+            #[inline(always)]
+            fn load(values: &[$type]) -> Self {
+                values.first().copied().unwrap_or(0.0)
+            }
+
+            #[inline(always)]
+            fn load_f32(values: &[f32]) -> Self {
+                values.first().map_or(0.0, |&value| value as $type)
+            }
+
+            #[inline(always)]
+            fn store(self, values: &mut [$type]) {
+                if let Some(value) = values.first_mut() {
+                    *value = self;
+                }
+            }
+
+            #[inline(always)]
+            fn widen(self) -> f64 {
+                self as f64
+            }
+
+            #[inline(always)]
+            fn narrow(wide: f64) -> Self {
+                wide as $type
+            }
+
+            #[inline(always)]
+            fn max(self, other: Self) -> Self {
+                if self > other { self } else { other }
+            }
+
+            #[inline(always)]
+            fn min(self, other: Self) -> Self {
+                if self < other { self } else { other }
+            }
+
+            #[inline(always)]
+            fn abs(self) -> Self {
+                $type::abs(self)
+            }
+
+            #[inline(always)]
+            fn gt(self, other: Self) -> bool {
+                self > other
+            }
+
+            #[inline(always)]
+            fn bits_set(bytes: &[u8], bit: u32) -> bool {
+                bytes.first().is_some_and(|byte| byte >> bit & 1 == 1)
+            }
+
+            #[inline(always)]
+            fn select(mask: bool, yes: Self, no: Self) -> Self {
+                if mask { yes } else { no }
+            }
+
+            #[inline(always)]
+            fn exp2(self) -> Self {
+                $type::exp2(self)
+            }
+
+            #[inline(always)]
+            fn log2(self) -> Self {
+                $type::log2(self)
+            }
+
+            #[inline(always)]
+            fn pow(self, exponent: f64) -> Self {
+                self.powf(exponent as $type)
+            }
+        }
+    };
+}
+
+scalar!(f32);
+scalar!(f64);
+
+impl Wide for f64 {
+    #[inline(always)]
+    fn load(values: &[f64]) -> Self {
+        values.first().copied().unwrap_or(0.0)
+    }
+
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        self
+    }
+}
+
+impl Real for f32 {
+    fn run<K: Kernel<f32>>(kernel: K) -> K::Output {
+        kernel.run::<f32>()
+    }
+
+    fn to_f64(self) -> f64 {
+        f64::from(self)
+    }
+}
+
+impl Real for f64 {
+    fn run<K: Kernel<f64>>(kernel: K) -> K::Output {
+        kernel.run::<f64>()
+    }
+
+    fn to_f64(self) -> f64 {
+        self
+    }
+}
+
+/// Scalar product.
+#[inline(always)]
+pub(crate) fn dot<A: Arithmetic>(a: [A; 3], b: [A; 3]) -> A {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+}
+
+/// Cross product.
+#[inline(always)]
+pub(crate) fn cross<A: Arithmetic>(a: [A; 3], b: [A; 3]) -> [A; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// `vector * factor`.
+#[inline(always)]
+pub(crate) fn scale<A: Arithmetic>(vector: [A; 3], factor: A) -> [A; 3] {
+    vector.map(|component| component * factor)
+}
+
+/// `a * factor + b`.
+#[inline(always)]
+pub(crate) fn add_scaled<A: Arithmetic>(a: [A; 3], factor: A, b: [A; 3]) -> [A; 3] {
+    [a[0].mul_add(factor, b[0]), a[1].mul_add(factor, b[1]), a[2].mul_add(factor, b[2])]
+}

@@ -1,0 +1,255 @@
+//! The loss of a rendering against photos, in gamma 2.2, and its gradient with respect to every map.
+
+use rayon::prelude::*;
+
+use super::{Grid, View, load_surface, planes, split_planes, store_surface};
+use crate::brdf::real::{Arithmetic, Kernel, Lanes, Real, Wide};
+use crate::brdf::{Frame, FrameGradient, Response, Surface};
+use crate::capture::{Photo, Shot};
+use crate::error::{Error, Result};
+use crate::maps::{Lobe, Maps};
+
+/// Radiance below which [`encode_radiance`] leaves the power law: less than half of what the first code of an 8-bit file stands for.
+pub const TOE: f64 = 1e-6;
+
+const GAMMA: f64 = 2.2;
+/// Factor of the mean squared error, as in the released optimisation.
+const LOSS_SCALE: f64 = 1000.0;
+
+/// Gamma 2.2 encoding `radiance^(1/2.2)` with a finite slope at 0.
+///
+/// From [`TOE`] on it is the power law, unchanged. Below, where the power law's slope grows without limit, it is the parabola through
+/// 0 that continues value and slope, so black stays black; its slope at 0 is 2896. Below 0 it goes on as a line with that slope.
+pub fn encode_radiance<T: Real>(radiance: T) -> T {
+    encode(radiance).0
+}
+
+/// [`encode_radiance`] and its slope.
+#[inline(always)]
+pub(crate) fn encode<L: Lanes>(radiance: L) -> (L, L) {
+    let toe = L::splat(TOE);
+    let top = TOE.powf(1.0 / GAMMA);
+    // a x + b x^2 with value `top` and slope `top / (2.2 TOE)` at TOE.
+    let linear = L::splat((2.0 - 1.0 / GAMMA) * top / TOE);
+    let square = L::splat((1.0 / GAMMA - 1.0) * top / (TOE * TOE));
+    let low = radiance.max(L::splat(0.0)).min(toe);
+    let high = radiance.max(toe);
+    let power = high.pow(1.0 / GAMMA);
+    let above = radiance.gt(toe);
+    let value = L::select(above, power, low.mul_add(square, linear) * radiance);
+    let slope = L::select(above, L::splat(1.0 / GAMMA) * power / high, (low + low).mul_add(square, linear));
+    (value, slope)
+}
+
+/// A photo as the loss compares with it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Target {
+    width: usize,
+    height: usize,
+    shot: Shot,
+    encoded: Vec<f32>,
+    saturated: Vec<u8>,
+}
+
+impl Target {
+    /// A target from three planes (R, G, B) of `height * width` values, encoded by [`encode_radiance`], rows from the top, and one byte
+    /// per pixel of which bit c says that channel c is saturated: "at least this bright".
+    ///
+    /// # Errors
+    /// [`Error::ShapeMismatch`] if the lengths do not fit; [`Error::InvalidArgument`] if a value is not finite.
+    pub fn new(width: usize, height: usize, shot: Shot, encoded: Vec<f32>, saturated: Vec<u8>) -> Result<Self> {
+        let pixels = width.saturating_mul(height);
+        if encoded.is_empty() || pixels.checked_mul(3) != Some(encoded.len()) || saturated.len() != pixels {
+            return Err(Error::shape(
+                "target",
+                format!("3 planes of {height} x {width} values and as many bytes"),
+                format!("{} values and {} bytes", encoded.len(), saturated.len()),
+            ));
+        }
+        if let Some(value) = encoded.iter().find(|value| !value.is_finite()) {
+            return Err(Error::invalid("target", format!("expected finite values, got {value}")));
+        }
+        Ok(Self { width, height, shot, encoded, saturated })
+    }
+
+    /// A target from a photo in linear RGB.
+    ///
+    /// # Errors
+    /// As [`Target::new`]; [`Error::ShapeMismatch`] if the photo has not three channels.
+    pub fn from_photo(photo: &Photo) -> Result<Self> {
+        let image = &photo.image;
+        if image.channels() != 3 {
+            return Err(Error::shape(photo.name.as_str(), "3 channels", format!("{}", image.channels())));
+        }
+        let encoded = image.to_planar().into_iter().map(encode_radiance).collect();
+        Self::new(image.width(), image.height(), photo.shot, encoded, photo.saturated.clone())
+    }
+
+    /// Columns.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Positions and light.
+    pub fn shot(&self) -> &Shot {
+        &self.shot
+    }
+
+    /// Three planes (R, G, B) of encoded values.
+    pub fn encoded(&self) -> &[f32] {
+        &self.encoded
+    }
+
+    /// One byte per pixel; bit c is set where channel c is saturated.
+    pub fn saturated(&self) -> &[u8] {
+        &self.saturated
+    }
+}
+
+/// 1000 times the mean, over photos, channels and pixels, of `(encode(radiance) - photo)^2`, with [`encode_radiance`].
+///
+/// Where the photo is saturated a rendering that is at least as bright has no error. `gradient`, where given, is overwritten with the
+/// derivatives of the loss by every value of `maps`. `patch_size` is the width of the patch in the unit of the targets' positions.
+///
+/// The result may be NaN or infinite where `maps` are.
+///
+/// # Errors
+/// [`Error::InvalidArgument`] if `patch_size` is not positive, there are no targets, or a position or light is not finite;
+/// [`Error::ShapeMismatch`] if a target or `gradient` has another size than `maps`.
+pub fn photo_loss<T: Real>(
+    maps: &Maps<T>,
+    patch_size: f64,
+    targets: &[Target],
+    gradient: Option<&mut Maps<T>>,
+) -> Result<f64> {
+    let grid = Grid::new(maps, patch_size)?;
+    let pixels = maps.width() * maps.height();
+    if targets.is_empty() {
+        return Err(Error::invalid("targets", "expected at least one photo, got none"));
+    }
+    let size = |width: usize, height: usize| format!("{height} x {width}");
+    let mut views = Vec::with_capacity(targets.len());
+    for target in targets {
+        if (target.width, target.height) != (maps.width(), maps.height()) {
+            return Err(Error::shape("target", size(maps.width(), maps.height()), size(target.width, target.height)));
+        }
+        views.push((View::new(&target.shot, patch_size)?, target));
+    }
+    let weight = LOSS_SCALE / (3.0 * pixels as f64 * targets.len() as f64);
+    let job = Job { grid: &grid, views: &views, maps, weight };
+    let partial: Vec<f64> = match gradient {
+        Some(gradient) => {
+            if (gradient.lobe(), gradient.width(), gradient.height()) != (maps.lobe(), maps.width(), maps.height()) {
+                let shape = |maps: &Maps<T>| {
+                    format!("{} planes of {}", maps.lobe().planes(), size(maps.width(), maps.height()))
+                };
+                return Err(Error::shape("gradient", shape(maps), shape(gradient)));
+            }
+            let mut chunks = split_planes(gradient.data_mut(), pixels, grid.chunk_rows * grid.width);
+            chunks
+                .par_iter_mut()
+                .enumerate()
+                .map(|(index, out)| T::run(LossRows::<_, true> { job: &job, rows: grid.rows(index), gradient: out }))
+                .collect()
+        }
+        None => (0..maps.height().div_ceil(grid.chunk_rows))
+            .into_par_iter()
+            .map(|index| T::run(LossRows::<_, false> { job: &job, rows: grid.rows(index), gradient: &mut [] }))
+            .collect(),
+    };
+    Ok(weight * partial.iter().sum::<f64>())
+}
+
+/// What all chunks share.
+struct Job<'a, T> {
+    grid: &'a Grid,
+    views: &'a [(View, &'a Target)],
+    maps: &'a Maps<T>,
+    weight: f64,
+}
+
+/// Sum of squares and gradient of some rows.
+struct LossRows<'a, T, const GRADIENT: bool> {
+    job: &'a Job<'a, T>,
+    rows: std::ops::Range<usize>,
+    gradient: &'a mut [&'a mut [T]],
+}
+
+impl<T: Real, const GRADIENT: bool> LossRows<'_, T, GRADIENT> {
+    #[inline(always)]
+    fn rows<L: Lanes<Scalar = T>, const ANISOTROPIC: bool>(self) -> f64 {
+        let Job { grid, views, maps, weight } = *self.job;
+        let planes = planes(maps);
+        let pixels = maps.width() * maps.height();
+        let start = self.rows.start * grid.width;
+        let weight = L::splat(2.0 * weight);
+        let mut sum = L::Wide::splat(0.0);
+        for row in self.rows {
+            let y = L::Wide::splat(grid.y[row]);
+            for column in (0..grid.width).step_by(L::LANES) {
+                let end = (column + L::LANES).min(grid.width);
+                let range = row * grid.width + column..row * grid.width + end;
+                let x = L::Wide::load(&grid.x[column..end]);
+                let surface = load_surface::<L, ANISOTROPIC>(&planes, range.clone());
+                let frame = Frame::<L, ANISOTROPIC>::new(&surface);
+                let mut gradient = FrameGradient::zero();
+                for (view, target) in views {
+                    let response = view.response(&frame, x, y);
+                    let intensity = view.intensity::<L>();
+                    let (squares, slopes) = compare(&surface, &response, intensity, target, pixels, range.clone());
+                    sum = sum + squares.widen();
+                    if GRADIENT {
+                        gradient.add(&surface, &response, std::array::from_fn(|c| slopes[c] * intensity[c] * weight));
+                    }
+                }
+                if GRADIENT {
+                    let gradient = gradient.finish(&frame);
+                    store_surface::<L, ANISOTROPIC>(&gradient, self.gradient, range.start - start..range.end - start);
+                }
+            }
+        }
+        sum.sum()
+    }
+}
+
+/// Sum over channels of the squared errors of some pixels, and half its derivatives by the radiance.
+#[inline(always)]
+fn compare<L: Lanes>(
+    surface: &Surface<L>,
+    response: &Response<L>,
+    intensity: [L; 3],
+    target: &Target,
+    pixels: usize,
+    range: std::ops::Range<usize>,
+) -> (L, [L; 3]) {
+    let zero = L::splat(0.0);
+    let radiance = response.radiance(surface, intensity);
+    let (mut squares, mut slopes) = (zero, [zero; 3]);
+    for c in 0..3 {
+        let (encoded, slope) = encode(radiance[c]);
+        let photo = L::load_f32(&target.encoded[c * pixels + range.start..c * pixels + range.end]);
+        let saturated = L::bits_set(&target.saturated[range.clone()], c as u32);
+        let error = encoded - photo;
+        let error = L::select(saturated, error.min(zero), error);
+        squares = error.mul_add(error, squares);
+        slopes[c] = error * slope;
+    }
+    (squares, slopes)
+}
+
+impl<T: Real, const GRADIENT: bool> Kernel<T> for LossRows<'_, T, GRADIENT> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<L: Lanes<Scalar = T>>(self) -> f64 {
+        match self.job.maps.lobe() {
+            Lobe::Isotropic => self.rows::<L, false>(),
+            Lobe::Anisotropic => self.rows::<L, true>(),
+        }
+    }
+}
