@@ -377,7 +377,7 @@ fn decode_tiff(path: &Path, bytes: &[u8]) -> Result<Stored> {
     let color = decoder.colortype().map_err(error)?;
     let channels = match color {
         ColorType::Gray(_) => 1,
-        ColorType::GrayA(_) => 2,
+        ColorType::GrayA(_) | ColorType::Multiband { num_samples: 2, .. } => 2,
         ColorType::RGB(_) => 3,
         ColorType::RGBA(_) => 4,
         other => return Err(unsupported(path, format!("{other:?} pixels"))),

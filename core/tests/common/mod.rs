@@ -7,7 +7,8 @@ use std::path::PathBuf;
 /// Set `SVBRDF_GCN_REQUIRE_SHARED=1` to turn its absence into a failure.
 pub fn shared(path: &str) -> Option<PathBuf> {
     let manifest = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-    let found = manifest.ancestors().map(|folder| folder.join("shared").join(path)).find(|candidate| candidate.exists());
+    let found =
+        manifest.ancestors().map(|folder| folder.join("shared").join(path)).find(|candidate| candidate.exists());
     if found.is_none() {
         let required = std::env::var_os("SVBRDF_GCN_REQUIRE_SHARED").is_some_and(|value| value == "1");
         assert!(!required, "shared/{path} is required and absent");
