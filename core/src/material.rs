@@ -22,6 +22,21 @@ pub struct Material {
 }
 
 impl Material {
+    /// Columns of the maps.
+    pub fn width(&self) -> usize {
+        self.normal.width()
+    }
+
+    /// Rows of the maps.
+    pub fn height(&self) -> usize {
+        self.normal.height()
+    }
+
+    /// The reflectance model: anisotropic where there is a tangent.
+    pub fn lobe(&self) -> Lobe {
+        if self.tangent.is_some() { Lobe::Anisotropic } else { Lobe::Isotropic }
+    }
+
     /// A material from maps: albedos and roughness limited to [0, 1], normals and tangents of unit length and orthogonal.
     ///
     /// A normal of length 0 becomes (0, 0, 1), a tangent that is 0 or parallel to the normal one along x (or y).
@@ -71,7 +86,7 @@ impl Material {
     /// `patch_size` is not positive and finite.
     pub fn to_maps(&self) -> Result<Maps<f32>> {
         check_patch_size(self.patch_size)?;
-        let lobe = if self.tangent.is_some() { Lobe::Anisotropic } else { Lobe::Isotropic };
+        let lobe = self.lobe();
         let (width, height) = (self.normal.width(), self.normal.height());
         let mut data = Vec::with_capacity(lobe.planes() * width * height);
         let mut push = |name: &str, image: &Image, channels: usize, limited: bool| {

@@ -3,6 +3,7 @@
 use std::io::Cursor;
 use std::path::Path;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use tiff::encoder::{TiffEncoder, colortype};
@@ -14,7 +15,9 @@ use crate::color::Transfer;
 use crate::error::{Error, Result};
 use crate::image::Image;
 
-/// Writes a linear image, one or three channels, in the format of the file's extension: `.png` (8 bit, encoded with `transfer`
+const JPEG_QUALITY: u8 = 95;
+
+/// Writes a linear image, one or three channels, in the format of the file's extension: `.png` and `.jpg` (8 bit, encoded with `transfer`
 /// and clamped to [0, 1]), `.exr` or `.tif`/`.tiff` (32-bit float, linear; `transfer` is not used). The file appears whole or
 /// not at all.
 ///
@@ -34,9 +37,10 @@ pub fn write_image(path: impl AsRef<Path>, image: &Image, transfer: Transfer) ->
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let bytes = match extension.as_str() {
         "png" => png8(path, image, transfer)?,
+        "jpg" | "jpeg" => jpeg(path, image, transfer)?,
         "exr" => exr::encode(path, image.width(), image.height(), &named_channels(image), Precision::Float)?,
         "tif" | "tiff" => tiff_float(path, image)?,
-        other => return Err(unsupported(path, format!("extension {other:?}; written are .png, .exr and .tif"))),
+        other => return Err(unsupported(path, format!("extension {other:?}; written are .png, .jpg, .exr and .tif"))),
     };
     write_files(&[(path.to_path_buf(), bytes)])
 }
@@ -48,11 +52,26 @@ pub(super) fn named_channels(image: &Image) -> Vec<(&'static str, Vec<f32>)> {
     names.iter().copied().zip(image.to_planar().chunks_exact(pixels).map(<[f32]>::to_vec)).collect()
 }
 
-fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
-    let codes: Vec<u8> =
-        image.data().iter().map(|&v| (transfer.encode(v).clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+/// The 8-bit codes of an image.
+fn codes8(image: &Image, transfer: Transfer) -> (Vec<u8>, ExtendedColorType) {
+    let code = |&v: &f32| (transfer.encode(v).clamp(0.0, 1.0) * 255.0).round() as u8;
     let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
+    (image.data().iter().map(code).collect(), color)
+}
+
+fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
+    let (codes, color) = codes8(image, transfer);
     png(path, image, &codes, color)
+}
+
+fn jpeg(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
+    let (width, height) = size32(path, image)?;
+    let (codes, color) = codes8(image, transfer);
+    let mut out = Vec::new();
+    JpegEncoder::new_with_quality(&mut out, JPEG_QUALITY)
+        .write_image(&codes, width, height, color)
+        .map_err(|e| broken(path, e))?;
+    Ok(out)
 }
 
 /// A PNG of 16 bits, the values encoded with `transfer`; two channels are written as R, G and B = 0.

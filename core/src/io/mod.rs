@@ -8,6 +8,7 @@
 mod decode;
 mod encode;
 mod exr;
+pub mod material;
 pub(crate) mod resize;
 mod save;
 

@@ -1,0 +1,576 @@
+//! Material folders: one image per map and `material.json`, which says how each is encoded. `docs/materials.md` describes them.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::decode::{Stored, read_file, read_stored};
+use super::encode::{named_channels, png16, tiff_float};
+use super::exr::{self, Precision};
+use super::resize::{fit_size, shrink};
+use super::save::write_files;
+use crate::color::Transfer;
+use crate::error::{Error, Result};
+use crate::image::Image;
+use crate::maps::Lobe;
+use crate::material::Material;
+
+/// The file that describes a material folder.
+pub const MATERIAL_JSON: &str = "material.json";
+
+const FORMAT: &str = "svbrdf-gcn material";
+const VERSION: u64 = 1;
+const MAX_JSON_BYTES: u64 = 64 << 20;
+
+/// How far a stored value may lie outside of [0, 1] (rounding of half floats, filters) before it is an error.
+const RANGE_SLACK: f32 = 1e-3;
+
+/// The image format of written maps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum MaterialFormat {
+    /// OpenEXR with half floats, everything linear: a relative error of 2^-11 (absolute 2^-25 below 6e-5).
+    #[default]
+    Exr,
+    /// PNG with 16 bits: albedos sRGB-encoded, roughness, normal and tangent as data.
+    Png16,
+    /// TIFF with 32-bit floats, everything linear; loses nothing.
+    Tiff,
+}
+
+impl MaterialFormat {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Exr => "exr",
+            Self::Png16 => "png",
+            Self::Tiff => "tif",
+        }
+    }
+
+    /// The transfer function of the file of a map.
+    fn transfer(self, map: Map) -> Transfer {
+        match (self, map) {
+            (Self::Png16, Map::Diffuse | Map::Specular) => Transfer::Srgb,
+            _ => Transfer::Linear,
+        }
+    }
+}
+
+/// How a material is written.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct SaveOptions {
+    /// The image format of the maps.
+    pub format: MaterialFormat,
+    /// The name of the unit of `patch_size`, for people.
+    pub unit: Option<String>,
+    /// What made the material (settings, losses, timings, warnings), written to `material.json` as it is.
+    pub report: Option<serde_json::Value>,
+}
+
+impl SaveOptions {
+    /// Maps in this format, no unit, no report.
+    pub fn new(format: MaterialFormat) -> Self {
+        Self { format, ..Self::default() }
+    }
+
+    /// Names the unit of `patch_size`.
+    pub fn unit(mut self, unit: impl Into<String>) -> Self {
+        self.unit = Some(unit.into());
+        self
+    }
+
+    /// Adds a report to `material.json`.
+    pub fn report(mut self, report: serde_json::Value) -> Self {
+        self.report = Some(report);
+        self
+    }
+}
+
+/// The encodings of maps in the field, for files without a `material.json`.
+///
+/// In all of them normals are stored as (n + 1) / 2 with +y up, roughness is perceptual. A folder holds one image per map, a strip
+/// is one image of square tiles from left to right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum MaterialEncoding {
+    /// Data set of Deschaintre et al. 2018: everything linear; strips of normal, diffuse, roughness, specular, which may begin with a photo.
+    Deschaintre2018,
+    /// Deep Inverse Rendering: diffuse gamma 2.2, the rest linear; strips of normal, diffuse, roughness, specular.
+    DeepInverseRendering,
+    /// MaterialGAN and the code of the paper: all but the normal gamma 2.2; strips of diffuse, normal, roughness, specular.
+    MaterialGan,
+    /// svbrdf-diff-renderer: all but the normal gamma 2.2; files `nom`, `dif`, `spe`, `rgh`, no strips.
+    DiffRenderer,
+}
+
+impl MaterialEncoding {
+    /// All encodings.
+    pub const ALL: [Self; 4] =
+        [Self::Deschaintre2018, Self::DeepInverseRendering, Self::MaterialGan, Self::DiffRenderer];
+
+    /// The name on the command line and in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Deschaintre2018 => "deschaintre2018",
+            Self::DeepInverseRendering => "deep-inverse-rendering",
+            Self::MaterialGan => "materialgan",
+            Self::DiffRenderer => "svbrdf-diff-renderer",
+        }
+    }
+
+    /// The inverse of [`MaterialEncoding::name`].
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|encoding| encoding.name() == name)
+    }
+
+    fn transfer(self, map: Map) -> Transfer {
+        match (self, map) {
+            (Self::Deschaintre2018, _) | (_, Map::Normal) => Transfer::Linear,
+            (Self::DeepInverseRendering, Map::Diffuse) | (Self::MaterialGan | Self::DiffRenderer, _) => {
+                Transfer::Gamma22
+            }
+            (Self::DeepInverseRendering, _) => Transfer::Linear,
+        }
+    }
+
+    /// The maps of a strip from left to right.
+    fn strip(self) -> Option<[Map; 4]> {
+        match self {
+            Self::Deschaintre2018 | Self::DeepInverseRendering => {
+                Some([Map::Normal, Map::Diffuse, Map::Roughness, Map::Specular])
+            }
+            Self::MaterialGan => Some([Map::Diffuse, Map::Normal, Map::Roughness, Map::Specular]),
+            Self::DiffRenderer => None,
+        }
+    }
+}
+
+/// How a material is read.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct LoadOptions {
+    /// The encoding of files without a `material.json`; a `material.json` says it itself.
+    pub encoding: Option<MaterialEncoding>,
+    /// The width of the patch, where no `material.json` says it; 1 if not given.
+    pub patch_size: Option<f64>,
+}
+
+impl LoadOptions {
+    /// Only folders with a `material.json`.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Also files without a `material.json`, in this encoding.
+    pub fn encoding(mut self, encoding: MaterialEncoding) -> Self {
+        self.encoding = Some(encoding);
+        self
+    }
+
+    /// The width of the patch of files without a `material.json`.
+    pub fn patch_size(mut self, patch_size: f64) -> Self {
+        self.patch_size = Some(patch_size);
+        self
+    }
+}
+
+/// The maps by their names on disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Map {
+    Diffuse,
+    Specular,
+    Roughness,
+    Normal,
+    Tangent,
+}
+
+impl Map {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Diffuse => "diffuse",
+            Self::Specular => "specular",
+            Self::Roughness => "roughness",
+            Self::Normal => "normal",
+            Self::Tangent => "tangent",
+        }
+    }
+
+    /// The name in the files of svbrdf-diff-renderer.
+    fn short_name(self) -> &'static str {
+        match self {
+            Self::Diffuse => "dif",
+            Self::Specular => "spe",
+            Self::Roughness => "rgh",
+            Self::Normal => "nom",
+            Self::Tangent => "tan",
+        }
+    }
+}
+
+/// `material.json`. Fields that are only for people are not read.
+#[derive(Serialize, Deserialize)]
+struct MaterialFile {
+    format: String,
+    version: u64,
+    #[serde(skip_deserializing)]
+    written_by: String,
+    #[serde(skip_deserializing)]
+    width: usize,
+    #[serde(skip_deserializing)]
+    height: usize,
+    patch_size: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unit: Option<String>,
+    lobe: Lobe,
+    maps: MapFiles,
+    #[serde(skip_deserializing)]
+    conventions: Conventions,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    report: Option<serde_json::Value>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct MapFiles {
+    diffuse: MapFile,
+    specular: MapFile,
+    roughness: MapFile,
+    normal: MapFile,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tangent: Option<MapFile>,
+}
+
+/// One map's file, relative to the folder, and how its values are stored.
+#[derive(Clone, Serialize, Deserialize)]
+struct MapFile {
+    file: String,
+    transfer: Transfer,
+}
+
+/// What the maps mean, in words.
+#[derive(Default, Serialize)]
+struct Conventions {
+    frame: &'static str,
+    diffuse: &'static str,
+    specular: &'static str,
+    roughness: &'static str,
+    normal: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tangent: Option<&'static str>,
+    shading: &'static str,
+}
+
+impl Conventions {
+    fn new(lobe: Lobe) -> Self {
+        let anisotropic = lobe == Lobe::Anisotropic;
+        Self {
+            frame: "x right, y up (row 0 is at +y), z out of the surface; patch_size is the width of the maps, the height follows from their aspect",
+            diffuse: "diffuse albedo, linear, 0 to 1, encoded with transfer",
+            specular: "specular albedo (reflectance at normal incidence, F0), linear, 0 to 1, encoded with transfer",
+            roughness: if anisotropic {
+                "perceptual roughness along tangent and bitangent in channels R and G, 0 to 1; alpha is its square"
+            } else {
+                "perceptual roughness, 0 to 1; alpha is its square"
+            },
+            normal: "unit vector, +x right, +y up, stored as (n + 1) / 2",
+            tangent: anisotropic.then_some("unit vector orthogonal to the normal, stored as (t + 1) / 2"),
+            shading: "d (1 - s) / pi + D F G / (4 (n.v)(n.l)): GGX, separable Smith-Schlick masking with k = alpha / 2, spherical Gaussian Fresnel",
+        }
+    }
+}
+
+impl Material {
+    /// Writes the maps and `material.json` to a folder, which is made if it is not there.
+    ///
+    /// Files are `diffuse`, `specular`, `roughness`, `normal` and, for an anisotropic material, `tangent`, with the extension of the
+    /// format. Albedos and roughness are limited to [0, 1], normals and tangents written at unit length. All files are
+    /// written under temporary names before the first is renamed, `material.json` last: what fails leaves the folder as it was.
+    ///
+    /// # Errors
+    /// As [`Material::to_maps`]; [`Error::Io`] if a file cannot be written.
+    pub fn save(&self, folder: impl AsRef<Path>, options: &SaveOptions) -> Result<()> {
+        let folder = folder.as_ref();
+        let maps = self.to_maps()?;
+        let material = Self::from_maps(&maps, self.patch_size)?;
+        std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
+        let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
+        let mut write = |map: Map, image: &Image| {
+            let entry = MapFile {
+                file: format!("{}.{}", map.name(), options.format.extension()),
+                transfer: options.format.transfer(map),
+            };
+            let path = folder.join(&entry.file);
+            let bytes = match options.format {
+                MaterialFormat::Exr => {
+                    exr::encode(&path, image.width(), image.height(), &named_channels(image), Precision::Half)?
+                }
+                MaterialFormat::Png16 => png16(&path, image, entry.transfer)?,
+                MaterialFormat::Tiff => tiff_float(&path, image)?,
+            };
+            files.push((path, bytes));
+            Ok(entry)
+        };
+        let maps_written = MapFiles {
+            diffuse: write(Map::Diffuse, &material.diffuse_albedo)?,
+            specular: write(Map::Specular, &material.specular_albedo)?,
+            roughness: write(Map::Roughness, &material.roughness)?,
+            normal: write(Map::Normal, &half_range(&material.normal)?)?,
+            tangent: match &material.tangent {
+                Some(tangent) => Some(write(Map::Tangent, &half_range(tangent)?)?),
+                None => None,
+            },
+        };
+        let description = MaterialFile {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            written_by: concat!("svbrdf-gcn ", env!("CARGO_PKG_VERSION")).to_owned(),
+            width: maps.width(),
+            height: maps.height(),
+            patch_size: self.patch_size,
+            unit: options.unit.clone(),
+            lobe: maps.lobe(),
+            maps: maps_written,
+            conventions: Conventions::new(maps.lobe()),
+            report: options.report.clone(),
+        };
+        let path = folder.join(MATERIAL_JSON);
+        let mut text = serde_json::to_vec_pretty(&description).map_err(|e| Error::io(&path, e))?;
+        text.push(b'\n');
+        files.push((path, text));
+        write_files(&files)
+    }
+
+    /// Reads a folder with a `material.json`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] for files that are missing or broken; [`Error::UnsupportedFormat`] for another version of the format, or a
+    /// folder without `material.json` (see [`Material::load_with`]); [`Error::ShapeMismatch`] if the maps differ in size;
+    /// [`Error::InvalidArgument`] for values outside of [0, 1] or not finite.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        Self::load_with(path, &LoadOptions::default())
+    }
+
+    /// Reads a folder with a `material.json`, or, where `options` state their encoding, a folder with one image per map (`diffuse` or
+    /// `dif`, `specular` or `spe`, `roughness` or `rgh`, `normal` or `nom`) or a strip.
+    ///
+    /// # Errors
+    /// As [`Material::load`].
+    pub fn load_with(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Self> {
+        let path = path.as_ref();
+        let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, e))?;
+        let description = path.join(MATERIAL_JSON);
+        if metadata.is_dir() && description.exists() {
+            return load_described(path, &read_description(&description)?);
+        }
+        let Some(encoding) = options.encoding else {
+            let names = MaterialEncoding::ALL.map(MaterialEncoding::name).join(", ");
+            return Err(Error::UnsupportedFormat {
+                name: path.display().to_string(),
+                got: format!("maps without {MATERIAL_JSON}; their encoding must be stated: {names}"),
+            });
+        };
+        let patch_size = options.patch_size.unwrap_or(1.0);
+        if metadata.is_dir() { load_plain(path, encoding, patch_size) } else { load_strip(path, encoding, patch_size) }
+    }
+
+    /// The material at a longer side of at most `longer` pixels, resampled by area; never enlarged. Normals and tangents are averaged
+    /// and brought to unit length.
+    ///
+    /// # Errors
+    /// As [`Material::to_maps`]; [`Error::InvalidArgument`] if `longer` is 0.
+    pub fn resized(&self, longer: usize) -> Result<Self> {
+        if longer == 0 {
+            return Err(Error::invalid("size", "expected at least 1 pixel, got 0"));
+        }
+        let maps = self.to_maps()?;
+        let full = (maps.width(), maps.height());
+        let size = fit_size(full.0, full.1, Some(longer));
+        let resize = |image: &Image| {
+            let row = full.0 * image.channels();
+            let (values, _) = shrink(full, size, image.channels(), |y, out, _| {
+                out.copy_from_slice(&image.data()[y * row..(y + 1) * row]);
+            });
+            Image::new(size.0, size.1, image.channels(), values)
+        };
+        let resized = Self {
+            diffuse_albedo: resize(&self.diffuse_albedo)?,
+            specular_albedo: resize(&self.specular_albedo)?,
+            roughness: resize(&self.roughness)?,
+            normal: resize(&self.normal)?,
+            tangent: self.tangent.as_ref().map(resize).transpose()?,
+            patch_size: self.patch_size,
+        };
+        Self::from_maps(&resized.to_maps()?, self.patch_size)
+    }
+}
+
+/// The `report` of a material folder's `material.json`, where there is one.
+///
+/// # Errors
+/// As [`Material::load`].
+pub fn read_report(folder: impl AsRef<Path>) -> Result<Option<serde_json::Value>> {
+    Ok(read_description(&folder.as_ref().join(MATERIAL_JSON))?.report)
+}
+
+fn read_description(path: &Path) -> Result<MaterialFile> {
+    #[derive(Deserialize)]
+    struct Head {
+        format: Option<String>,
+        version: Option<u64>,
+    }
+    let bytes = read_file(path, MAX_JSON_BYTES)?;
+    let invalid = |e: serde_json::Error| Error::invalid(path.display().to_string(), e.to_string());
+    let head: Head = serde_json::from_slice(&bytes).map_err(invalid)?;
+    if head.format.as_deref() != Some(FORMAT) || head.version != Some(VERSION) {
+        let format = head.format.as_deref().unwrap_or("missing");
+        let version = head.version.map_or("missing".to_owned(), |version| version.to_string());
+        return Err(Error::UnsupportedFormat {
+            name: path.display().to_string(),
+            got: format!("format {format:?}, version {version}; read is {FORMAT:?}, version {VERSION}"),
+        });
+    }
+    serde_json::from_slice(&bytes).map_err(invalid)
+}
+
+fn load_described(folder: &Path, description: &MaterialFile) -> Result<Material> {
+    let MapFiles { diffuse, specular, roughness, normal, tangent } = &description.maps;
+    let read = |map: Map, entry: &MapFile| {
+        let path = folder.join(&entry.file);
+        decode_map(map, description.lobe, &path, &read_stored(&path)?, entry.transfer)
+    };
+    let tangent = match (description.lobe, tangent) {
+        (Lobe::Isotropic, _) => None,
+        (Lobe::Anisotropic, Some(entry)) => Some(read(Map::Tangent, entry)?),
+        (Lobe::Anisotropic, None) => {
+            let name = folder.join(MATERIAL_JSON).display().to_string();
+            return Err(Error::invalid(name, "lobe anisotropic, but maps has no tangent"));
+        }
+    };
+    assemble(
+        folder,
+        Material {
+            diffuse_albedo: read(Map::Diffuse, diffuse)?,
+            specular_albedo: read(Map::Specular, specular)?,
+            roughness: read(Map::Roughness, roughness)?,
+            normal: read(Map::Normal, normal)?,
+            tangent,
+            patch_size: description.patch_size,
+        },
+    )
+}
+
+/// A folder with one image per map, in a stated encoding.
+fn load_plain(folder: &Path, encoding: MaterialEncoding, patch_size: f64) -> Result<Material> {
+    let read = |map: Map| {
+        let path = find_map(folder, map)?;
+        decode_map(map, Lobe::Isotropic, &path, &read_stored(&path)?, encoding.transfer(map))
+    };
+    assemble(folder, isotropic(read, patch_size)?)
+}
+
+fn isotropic(read: impl Fn(Map) -> Result<Image>, patch_size: f64) -> Result<Material> {
+    Ok(Material {
+        diffuse_albedo: read(Map::Diffuse)?,
+        specular_albedo: read(Map::Specular)?,
+        roughness: read(Map::Roughness)?,
+        normal: read(Map::Normal)?,
+        tangent: None,
+        patch_size,
+    })
+}
+
+/// The one image of a folder that is named like the map.
+fn find_map(folder: &Path, map: Map) -> Result<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))? {
+        let path = entry.map_err(|e| Error::io(folder, e))?.path();
+        let stem = path.file_stem().map(|stem| stem.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let is_image = ["png", "jpg", "jpeg", "tif", "tiff", "exr"].contains(&extension.as_str());
+        if is_image && (stem == map.name() || stem == map.short_name()) {
+            found.push(path);
+        }
+    }
+    found.sort();
+    match found.as_slice() {
+        [path] => Ok(path.clone()),
+        [] => {
+            let reason = format!("no image named {} or {}", map.name(), map.short_name());
+            Err(Error::io(folder, std::io::Error::new(std::io::ErrorKind::NotFound, reason)))
+        }
+        [first, second, ..] => Err(Error::invalid(
+            folder.display().to_string(),
+            format!("{} and {} are both the {} map", first.display(), second.display(), map.name()),
+        )),
+    }
+}
+
+/// One image of square tiles, in a stated encoding.
+fn load_strip(path: &Path, encoding: MaterialEncoding, patch_size: f64) -> Result<Material> {
+    let name = || path.display().to_string();
+    let Some(order) = encoding.strip() else {
+        let got = format!("an image file; {} has a folder of files", encoding.name());
+        return Err(Error::UnsupportedFormat { name: name(), got });
+    };
+    let stored = read_stored(path)?;
+    let side = stored.height;
+    let photo = usize::from(encoding == MaterialEncoding::Deschaintre2018 && stored.width == 5 * side);
+    if stored.width != (4 + photo) * side {
+        let expected = format!("a strip of 4 square tiles, {} x {side} pixels", 4 * side);
+        return Err(Error::shape(name(), expected, format!("{} x {side}", stored.width)));
+    }
+    let tile = |map: Map| {
+        let index = photo + order.iter().position(|&other| other == map).unwrap_or_default();
+        let pixels = stored.to_image(encoding.transfer(map))?;
+        let channels = pixels.channels();
+        let rows = pixels.data().chunks_exact(stored.width * channels);
+        let data = rows.flat_map(|row| row[index * side * channels..(index + 1) * side * channels].to_vec()).collect();
+        to_map(map, Lobe::Isotropic, path, Image::new(side, side, channels, data)?)
+    };
+    assemble(path, isotropic(tile, patch_size)?)
+}
+
+fn decode_map(map: Map, lobe: Lobe, path: &Path, stored: &Stored, transfer: Transfer) -> Result<Image> {
+    to_map(map, lobe, path, stored.to_image(transfer)?)
+}
+
+/// The values of one map from the decoded pixels of its file.
+fn to_map(map: Map, lobe: Lobe, path: &Path, pixels: Image) -> Result<Image> {
+    let allowed = -RANGE_SLACK..=1.0 + RANGE_SLACK;
+    if let Some(value) = pixels.data().iter().find(|value| !allowed.contains(value)) {
+        return Err(Error::invalid(path.display().to_string(), format!("expected values from 0 to 1, got {value}")));
+    }
+    let (width, height) = (pixels.width(), pixels.height());
+    let data: Vec<f32> = match (map, pixels.channels()) {
+        (Map::Roughness, 3) if lobe == Lobe::Anisotropic => {
+            pixels.data().chunks_exact(3).flat_map(|rgb| [rgb[0], rgb[1]]).collect()
+        }
+        (Map::Roughness, 3) => pixels.data().chunks_exact(3).map(|rgb| (rgb[0] + rgb[1] + rgb[2]) / 3.0).collect(),
+        (Map::Roughness, _) if lobe == Lobe::Isotropic => return Ok(pixels),
+        (Map::Diffuse | Map::Specular, 1) => pixels.data().iter().flat_map(|&grey| [grey; 3]).collect(),
+        (Map::Diffuse | Map::Specular, 3) => return Ok(pixels),
+        (Map::Normal | Map::Tangent, 3) => pixels.data().iter().map(|v| 2.0 * v - 1.0).collect(),
+        (_, channels) => {
+            return Err(Error::shape(path.display().to_string(), "three channels", channels.to_string()));
+        }
+    };
+    let channels = data.len() / (width * height);
+    Image::new(width, height, channels, data)
+}
+
+/// The material with values limited to their ranges and vectors at unit length.
+fn assemble(path: &Path, material: Material) -> Result<Material> {
+    let maps = material.to_maps().map_err(|error| match error {
+        Error::ShapeMismatch { name, expected, got } => {
+            Error::ShapeMismatch { name: format!("{}: {name}", path.display()), expected, got }
+        }
+        error => error,
+    })?;
+    Material::from_maps(&maps, material.patch_size)
+}
+
+/// Vectors as they are stored: (n + 1) / 2.
+fn half_range(image: &Image) -> Result<Image> {
+    let data = image.data().iter().map(|v| (v + 1.0) / 2.0).collect();
+    Image::new(image.width(), image.height(), image.channels(), data)
+}
