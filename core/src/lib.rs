@@ -9,6 +9,7 @@ pub mod image;
 pub mod io;
 pub mod maps;
 pub mod material;
+pub mod metrics;
 pub mod nn;
 pub mod render;
 
