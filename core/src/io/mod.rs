@@ -8,7 +8,9 @@
 mod decode;
 mod encode;
 mod exr;
+mod font;
 pub mod material;
+pub mod preview;
 pub(crate) mod resize;
 mod save;
 

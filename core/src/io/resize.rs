@@ -21,6 +21,9 @@ pub(crate) fn shrink(
     let mut masks = vec![0u8; out_width * out_height];
     let rows = values.par_chunks_exact_mut(out_width * channels).zip(masks.par_chunks_exact_mut(out_width));
     rows.enumerate().for_each(|(i, (out_row, out_mask))| {
+        if (out_width, out_height) == (width, height) {
+            return read(i, out_row, out_mask);
+        }
         let mut row = vec![0.0f32; width * channels];
         let mut mask = vec![0u8; width];
         let mut sums = vec![0.0f64; out_width * channels];
