@@ -26,6 +26,11 @@ const BLOCK: [(&str, fn(usize) -> [usize; 4]); 18] = [
     ("gamma", |m| [m, 1, 1, 1]),
 ];
 
+/// Name and shape of the tensors of a NAFNet block on `channels` channels, in order.
+pub(crate) fn block_tensors(channels: usize) -> impl Iterator<Item = (&'static str, [usize; 4])> {
+    BLOCK.into_iter().map(move |(name, shape)| (name, shape(channels)))
+}
+
 /// The parameters of one adapter: a NAFNet block on the `channels` of the material feature, then a 3x3 convolution to `outputs` planes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AdapterParams {
@@ -68,7 +73,7 @@ impl AdapterParams {
     pub fn tensors(channels: usize, outputs: usize) -> impl Iterator<Item = (&'static str, [usize; 4], Range<usize>)> {
         let end = [("end.weight", [outputs, channels, 3, 3]), ("end.bias", [outputs, 1, 1, 1])];
         let mut start = 0;
-        BLOCK.into_iter().map(move |(name, shape)| (name, shape(channels))).chain(end).map(move |(name, shape)| {
+        block_tensors(channels).chain(end).map(move |(name, shape)| {
             let range = start..start + shape.iter().product::<usize>();
             start = range.end;
             (name, shape, range)

@@ -1,0 +1,257 @@
+//! Loops over one band: channels x pixels, channel after channel. No allocation, no threads; callers share the bands out.
+
+use super::scalar::{Scalar, kernel, multiply_add};
+
+/// Added to the variance by the layer norm.
+pub(crate) const NORM_EPSILON: f64 = 1e-6;
+/// Pixels that a loop over channels keeps sums for.
+const LANES: usize = 32;
+
+/// Mean and reciprocal standard deviation over channels of the pixels `start..start + LANES` of `x`, or of as many as there are.
+#[inline(always)]
+fn moments<E: Scalar, const FUSED: bool>(x: &[E], channels: usize, start: usize) -> ([E; LANES], [E; LANES]) {
+    let pixels = x.len() / channels;
+    let lanes = LANES.min(pixels - start);
+    let (mut mean, mut scale) = ([E::default(); LANES], [E::default(); LANES]);
+    let share = E::of(1.0 / channels as f64);
+    for row in x.chunks_exact(pixels) {
+        for (mean, &value) in mean.iter_mut().zip(&row[start..start + lanes]) {
+            *mean += value;
+        }
+    }
+    for mean in &mut mean {
+        *mean *= share;
+    }
+    for row in x.chunks_exact(pixels) {
+        for ((scale, &mean), &value) in scale.iter_mut().zip(&mean).zip(&row[start..start + lanes]) {
+            let off = value - mean;
+            *scale = multiply_add::<E, FUSED>(off, off, *scale);
+        }
+    }
+    for scale in &mut scale {
+        *scale = E::ONE / multiply_add::<E, FUSED>(*scale, share, E::of(NORM_EPSILON)).root();
+    }
+    (mean, scale)
+}
+
+kernel! {
+    /// Layer norm over channels: `out[c] = (x[c] - mean) / deviation * weight[c] + bias[c]` at every pixel.
+    pub(crate) fn norm<E>(out: &mut [E], x: &[E], weight: &[E], bias: &[E]) {
+        let pixels = x.len() / weight.len();
+        for start in (0..pixels).step_by(LANES) {
+            let (mean, scale) = moments::<E, FUSED>(x, weight.len(), start);
+            let lanes = LANES.min(pixels - start);
+            for (c, (row, to)) in x.chunks_exact(pixels).zip(out.chunks_exact_mut(pixels)).enumerate() {
+                let from = &row[start..start + lanes];
+                for (i, (to, &value)) in to[start..start + lanes].iter_mut().zip(from).enumerate() {
+                    *to = multiply_add::<E, FUSED>((value - mean[i]) * scale[i], weight[c], bias[c]);
+                }
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Adds the gradient of [`norm`] with respect to `x` to `dx`.
+    pub(crate) fn norm_backward<E>(dx: &mut [E], dy: &[E], x: &[E], weight: &[E]) {
+        let pixels = x.len() / weight.len();
+        let share = E::of(1.0 / weight.len() as f64);
+        for start in (0..pixels).step_by(LANES) {
+            let (mean, scale) = moments::<E, FUSED>(x, weight.len(), start);
+            let lanes = LANES.min(pixels - start);
+            let (mut along_one, mut along_x) = ([E::default(); LANES], [E::default(); LANES]);
+            for ((x, dy), &weight) in x.chunks_exact(pixels).zip(dy.chunks_exact(pixels)).zip(weight) {
+                for (i, (&x, &dy)) in x[start..start + lanes].iter().zip(&dy[start..start + lanes]).enumerate() {
+                    let slope = dy * weight;
+                    along_one[i] += slope;
+                    along_x[i] = multiply_add::<E, FUSED>(slope, (x - mean[i]) * scale[i], along_x[i]);
+                }
+            }
+            for i in 0..LANES {
+                along_one[i] *= share;
+                along_x[i] *= share;
+            }
+            let rows = x.chunks_exact(pixels).zip(dy.chunks_exact(pixels)).zip(dx.chunks_exact_mut(pixels));
+            for (((x, dy), dx), &weight) in rows.zip(weight) {
+                let (x, dy) = (&x[start..start + lanes], &dy[start..start + lanes]);
+                for (i, dx) in dx[start..start + lanes].iter_mut().enumerate() {
+                    let normal = (x[i] - mean[i]) * scale[i];
+                    *dx += scale[i] * (dy[i] * weight - along_one[i] - normal * along_x[i]);
+                }
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Adds the gradients of [`norm`] with respect to its weight and bias.
+    pub(crate) fn norm_backward_params<E>(dweight: &mut [E], dbias: &mut [E], dy: &[E], x: &[E]) {
+        let pixels = x.len() / dweight.len();
+        for start in (0..pixels).step_by(LANES) {
+            let (mean, scale) = moments::<E, FUSED>(x, dweight.len(), start);
+            let lanes = LANES.min(pixels - start);
+            for (c, (x, dy)) in x.chunks_exact(pixels).zip(dy.chunks_exact(pixels)).enumerate() {
+                for (i, (&x, &dy)) in x[start..start + lanes].iter().zip(&dy[start..start + lanes]).enumerate() {
+                    dweight[c] += dy * (x - mean[i]) * scale[i];
+                    dbias[c] += dy;
+                }
+            }
+        }
+    }
+}
+
+kernel! {
+    /// 3x3 convolution with zero padding of one channel's rows of a band: `rows`, with the row above and the row below them if there are any.
+    pub(crate) fn depthwise<E>(out: &mut [E], above: Option<&[E]>, rows: &[E], below: Option<&[E]>, width: usize, weight: &[E; 9], bias: E) {
+        out.fill(bias);
+        let count = rows.len() / width;
+        for (r, out) in out.chunks_exact_mut(width).enumerate() {
+            let lines = [
+                if r == 0 { above } else { Some(&rows[(r - 1) * width..r * width]) },
+                Some(&rows[r * width..(r + 1) * width]),
+                if r + 1 == count { below } else { Some(&rows[(r + 1) * width..(r + 2) * width]) },
+            ];
+            for (line, taps) in lines.into_iter().zip(weight.chunks_exact(3)) {
+                let Some(line) = line else { continue };
+                let (left, middle, right) = (taps[0], taps[1], taps[2]);
+                if width == 1 {
+                    out[0] = multiply_add::<E, FUSED>(line[0], middle, out[0]);
+                    continue;
+                }
+                let last = width - 1;
+                out[0] += line[0] * middle + line[1] * right;
+                out[last] += line[last - 1] * left + line[last] * middle;
+                let inner = line[..last - 1].iter().zip(&line[1..last]).zip(&line[2..]);
+                for (out, ((&a, &b), &c)) in out[1..last].iter_mut().zip(inner) {
+                    let sum = multiply_add::<E, FUSED>(a, left, *out);
+                    *out = multiply_add::<E, FUSED>(c, right, multiply_add::<E, FUSED>(b, middle, sum));
+                }
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Adds the gradient of [`depthwise`] with respect to its nine weights.
+    pub(crate) fn depthwise_backward_weight<E>(dweight: &mut [E], dy: &[E], above: Option<&[E]>, rows: &[E], below: Option<&[E]>, width: usize) {
+        let count = rows.len() / width;
+        for (r, dy) in dy.chunks_exact(width).enumerate() {
+            let lines = [
+                if r == 0 { above } else { Some(&rows[(r - 1) * width..r * width]) },
+                Some(&rows[r * width..(r + 1) * width]),
+                if r + 1 == count { below } else { Some(&rows[(r + 1) * width..(r + 2) * width]) },
+            ];
+            for (line, taps) in lines.into_iter().zip(dweight.chunks_exact_mut(3)) {
+                let Some(line) = line else { continue };
+                taps[0] += dot::<E>(&dy[1..], line);
+                taps[1] += dot::<E>(dy, line);
+                taps[2] += dot::<E>(dy, &line[1..]);
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Sum of products, over as many pairs as both have.
+    pub(crate) fn dot<E>(a: &[E], b: &[E]) -> E {
+        let mut sums = [E::default(); 16];
+        let (a_chunks, b_chunks) = (a.chunks_exact(16), b.chunks_exact(16));
+        let len = a.len().min(b.len());
+        for (a, b) in a_chunks.zip(b_chunks) {
+            for ((sum, &a), &b) in sums.iter_mut().zip(a).zip(b) {
+                *sum = multiply_add::<E, FUSED>(a, b, *sum);
+            }
+        }
+        let start = len / 16 * 16;
+        for (sum, (&a, &b)) in sums.iter_mut().zip(a[start..len].iter().zip(&b[start..len])) {
+            *sum += a * b;
+        }
+        sums.into_iter().fold(E::default(), |total, sum| total + sum)
+    }
+}
+
+kernel! {
+    /// Sum.
+    pub(crate) fn sum<E>(values: &[E]) -> E {
+        let mut sums = [E::default(); 16];
+        for values in values.chunks(16) {
+            for (sum, &value) in sums.iter_mut().zip(values) {
+                *sum += value;
+            }
+        }
+        sums.into_iter().fold(E::default(), |total, sum| total + sum)
+    }
+}
+
+kernel! {
+    /// Simple gate: the first half of `x` times its second half.
+    pub(crate) fn gate<E>(out: &mut [E], x: &[E]) {
+        let (a, b) = x.split_at(x.len() / 2);
+        for ((out, &a), &b) in out.iter_mut().zip(a).zip(b) {
+            *out = a * b;
+        }
+    }
+}
+
+kernel! {
+    /// Turns `x`, the input of [`gate`], into the gradient with respect to it.
+    pub(crate) fn gate_backward<E>(x: &mut [E], dy: &[E]) {
+        let (a, b) = x.split_at_mut(x.len() / 2);
+        for ((a, b), &dy) in a.iter_mut().zip(b).zip(dy) {
+            (*a, *b) = (dy * *b, dy * *a);
+        }
+    }
+}
+
+kernel! {
+    /// `out[c] = x[c] * scale[c]` at every pixel.
+    pub(crate) fn scale<E>(out: &mut [E], x: &[E], scale: &[E]) {
+        let pixels = x.len() / scale.len();
+        for ((out, x), &scale) in out.chunks_exact_mut(pixels).zip(x.chunks_exact(pixels)).zip(scale) {
+            for (out, &x) in out.iter_mut().zip(x) {
+                *out = x * scale;
+            }
+        }
+    }
+}
+
+kernel! {
+    /// `out[c] += x[c] * scale[c]` at every pixel.
+    pub(crate) fn add_scaled<E>(out: &mut [E], x: &[E], scale: &[E]) {
+        let pixels = x.len() / scale.len();
+        for ((out, x), &scale) in out.chunks_exact_mut(pixels).zip(x.chunks_exact(pixels)).zip(scale) {
+            for (out, &x) in out.iter_mut().zip(x) {
+                *out = multiply_add::<E, FUSED>(x, scale, *out);
+            }
+        }
+    }
+}
+
+kernel! {
+    /// `x[c] = x[c] * scale[c] + shift[c]` at every pixel.
+    pub(crate) fn scale_shift<E>(x: &mut [E], scale: &[E], shift: &[E]) {
+        let pixels = x.len() / scale.len();
+        for ((x, &scale), &shift) in x.chunks_exact_mut(pixels).zip(scale).zip(shift) {
+            for x in x.iter_mut() {
+                *x = multiply_add::<E, FUSED>(*x, scale, shift);
+            }
+        }
+    }
+}
+
+kernel! {
+    /// `out += x`.
+    pub(crate) fn add<E>(out: &mut [E], x: &[E]) {
+        for (out, &x) in out.iter_mut().zip(x) {
+            *out += x;
+        }
+    }
+}
+
+/// Sets every pixel of channel `c` to `values[c]`, or to zero where there are none.
+pub(crate) fn fill<E: Scalar>(out: &mut [E], channels: usize, values: Option<&[E]>) {
+    let pixels = out.len() / channels;
+    for (c, row) in out.chunks_exact_mut(pixels).enumerate() {
+        row.fill(values.map_or(E::default(), |values| values[c]));
+    }
+}

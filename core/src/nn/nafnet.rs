@@ -1,0 +1,313 @@
+//! The NAFNet block (Chen et al., "Simple Baselines for Image Restoration", ECCV 2022, fig. 2; paper, section 3.2).
+
+use std::sync::Arc;
+
+use dfdx::tensor::{Cpu, Tape};
+use rayon::prelude::*;
+
+use super::kernels::{add, add_scaled, dot, fill, gate, gate_backward, norm, norm_backward, scale, scale_shift, sum};
+use super::layout::Layout;
+use super::matrix::{Matrix, multiply};
+use super::ops::{self, depthwise_band, pooled_gradient, taps, total, turned};
+use super::scalar::Scalar;
+use super::tape::{Param, Planes, record};
+use crate::error::Result;
+
+/// Weight and bias of one of the block's layers.
+#[derive(Clone)]
+pub(crate) struct Layer<E: Scalar> {
+    pub weight: Param<E>,
+    pub bias: Param<E>,
+}
+
+/// The parameters of a block on `channels` channels; the names are those of the released code.
+#[derive(Clone)]
+pub(crate) struct Block<E: Scalar> {
+    pub channels: usize,
+    pub norm1: Layer<E>,
+    pub conv1: Layer<E>,
+    pub conv2: Layer<E>,
+    pub sca: Layer<E>,
+    pub conv3: Layer<E>,
+    pub beta: Param<E>,
+    pub norm2: Layer<E>,
+    pub conv4: Layer<E>,
+    pub conv5: Layer<E>,
+    pub gamma: Param<E>,
+}
+
+impl<E: Scalar> Block<E> {
+    /// A block on `channels` channels whose parameters `get` gives by name.
+    pub fn new(channels: usize, mut get: impl FnMut(&str) -> Result<Param<E>>) -> Result<Self> {
+        let mut layer = |name: &str| -> Result<Layer<E>> {
+            Ok(Layer { weight: get(&format!("{name}.weight"))?, bias: get(&format!("{name}.bias"))? })
+        };
+        let (norm1, conv1, conv2, sca) = (layer("norm1")?, layer("conv1")?, layer("conv2")?, layer("sca.1")?);
+        let (conv3, norm2, conv4, conv5) = (layer("conv3")?, layer("norm2")?, layer("conv4")?, layer("conv5")?);
+        let (beta, gamma) = (get("beta")?, get("gamma")?);
+        Ok(Self { channels, norm1, conv1, conv2, sca, conv3, beta, norm2, conv4, conv5, gamma })
+    }
+
+    fn is_tracked(&self) -> bool {
+        let layers =
+            [&self.norm1, &self.conv1, &self.conv2, &self.sca, &self.conv3, &self.norm2, &self.conv4, &self.conv5];
+        layers.iter().any(|layer| layer.weight.is_tracked() || layer.bias.is_tracked())
+            || self.beta.is_tracked()
+            || self.gamma.is_tracked()
+    }
+}
+
+/// The block as one operation. The gradients of its parameters, where one is asked for, come from [`composed`].
+pub(crate) fn block<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, block: &Arc<Block<E>>) -> Result<Planes<E, T>> {
+    if T::OWNS_TAPE && block.is_tracked() {
+        return composed(x, block);
+    }
+    if x.layout.channels != block.channels {
+        let expected = format!("{} channels", block.channels);
+        return Err(crate::error::Error::shape("block", expected, x.layout.channels.to_string()));
+    }
+    let (layout, records) = (x.layout, x.records());
+    let mut values = x.values();
+    let kept = forward(block, layout, &mut values, records);
+    let (x, tape) = x.split();
+    let block = block.clone();
+    record(values, layout, tape, records, move |dy, grads| {
+        let Some(kept) = kept else { return Ok(()) };
+        x.add_gradient(grads, |dx| kept.backward(&block, layout, &x.values(), dy, dx))
+    })
+}
+
+/// The block, operation by operation.
+pub(crate) fn composed<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, block: &Block<E>) -> Result<Planes<E, T>> {
+    let branch = ops::layer_norm(x.branch(), &block.norm1.weight, &block.norm1.bias)?;
+    let branch = ops::pointwise(branch, &block.conv1.weight, Some(&block.conv1.bias))?;
+    let branch = ops::depthwise3x3(branch, &block.conv2.weight, &block.conv2.bias)?;
+    let branch = ops::simple_gate(branch)?;
+    let branch = ops::channel_attention(branch, &block.sca.weight, &block.sca.bias)?;
+    let branch = ops::pointwise(branch, &block.conv3.weight, Some(&block.conv3.bias))?;
+    let y = ops::residual(x, branch, &block.beta)?;
+    let branch = ops::layer_norm(y.branch(), &block.norm2.weight, &block.norm2.bias)?;
+    let branch = ops::pointwise(branch, &block.conv4.weight, Some(&block.conv4.bias))?;
+    let branch = ops::simple_gate(branch)?;
+    let branch = ops::pointwise(branch, &block.conv5.weight, Some(&block.conv5.bias))?;
+    ops::residual(y, branch, &block.gamma)
+}
+
+/// Channels up to which the input of the second gate is computed again on the way back instead of being kept: there one more
+/// matrix product costs no more than writing and reading the values.
+const RECOMPUTED_CHANNELS: usize = 128;
+
+/// What a block keeps for the way back, beside its input.
+struct Kept<E> {
+    /// Output of the depthwise convolution, 2c channels.
+    gate1: Vec<E>,
+    /// Factors of the channel attention.
+    factor: Vec<E>,
+    /// Between the two halves of the block.
+    middle: Vec<E>,
+    /// Output of conv4, 2c channels, unless it is recomputed.
+    gate2: Option<Vec<E>>,
+}
+
+/// `bands` mutable pieces of `len` values each (the last may be shorter) of a buffer that may not be there.
+fn pieces<E>(buffer: Option<&mut Vec<E>>, len: usize, bands: usize) -> Vec<Option<&mut [E]>> {
+    match buffer {
+        Some(buffer) => buffer.chunks_mut(len).map(Some).collect(),
+        None => (0..bands).map(|_| None).collect(),
+    }
+}
+
+/// `out = weight x + bias` for a band.
+fn linear<E: Scalar>(out: &mut [E], layer: &Layer<E>, x: &[E], channels: usize) {
+    let (pixels, outputs) = (x.len() / channels, layer.bias.values().len());
+    fill(out, outputs, Some(layer.bias.values()));
+    multiply(out, true, Matrix::new(layer.weight.values(), outputs, channels), Matrix::new(x, channels, pixels));
+}
+
+/// `out = weight^T dy` for a band.
+fn linear_backward<E: Scalar>(out: &mut [E], layer: &Layer<E>, dy: &[E], channels: usize) {
+    let outputs = layer.bias.values().len();
+    let weight = Matrix::new(layer.weight.values(), outputs, channels).transposed();
+    multiply(out, false, weight, Matrix::new(dy, outputs, dy.len() / outputs));
+}
+
+/// The second half's input to its gate, from a band between the halves.
+fn second_gate_input<E: Scalar>(out: &mut [E], block: &Block<E>, middle: &[E], normal: &mut [E]) {
+    norm(normal, middle, block.norm2.weight.values(), block.norm2.bias.values());
+    linear(out, &block.conv4, normal, block.channels);
+}
+
+/// Replaces `x` by the block's output.
+fn forward<E: Scalar>(block: &Block<E>, layout: Layout, x: &mut [E], keep: bool) -> Option<Kept<E>> {
+    let (c, bands) = (block.channels, layout.bands());
+    let (single, double) = (layout.band_len(), 2 * layout.band_len());
+    let wide = layout.with_channels(2 * c);
+
+    let mut expanded = vec![E::default(); wide.len()];
+    expanded.par_chunks_mut(double).zip(x.par_chunks(single)).for_each(|(expanded, x)| {
+        let mut normal = vec![E::default(); x.len()];
+        norm(&mut normal, x, block.norm1.weight.values(), block.norm1.bias.values());
+        linear(expanded, &block.conv1, &normal, c);
+    });
+
+    let mut gate1 = keep.then(|| vec![E::default(); wide.len()]);
+    let mut gated = vec![E::default(); layout.len()];
+    let sums: Vec<Vec<E>> = pieces(gate1.as_mut(), double, bands)
+        .into_par_iter()
+        .zip(gated.par_chunks_mut(single))
+        .enumerate()
+        .map(|(band, (kept, gated))| {
+            let mut local = vec![E::default(); if kept.is_none() { 2 * gated.len() } else { 0 }];
+            let input = kept.unwrap_or(&mut local);
+            let conv2 = &block.conv2;
+            depthwise_band(input, &expanded, wide, band, |k| (taps(conv2.weight.values(), k), conv2.bias.values()[k]));
+            gate(gated, input);
+            gated.chunks_exact(gated.len() / c).map(sum).collect()
+        })
+        .collect();
+    drop(expanded);
+    let mut mean = total(&sums);
+    mean.iter_mut().for_each(|mean| *mean *= E::of(1.0 / layout.pixels() as f64));
+    let factor = ops::affine(block.sca.weight.values(), &mean, block.sca.bias.values());
+
+    let mut middle = keep.then(|| vec![E::default(); layout.len()]);
+    let mut gate2 = (keep && c > RECOMPUTED_CHANNELS).then(|| vec![E::default(); wide.len()]);
+    pieces(middle.as_mut(), single, bands)
+        .into_par_iter()
+        .zip(pieces(gate2.as_mut(), double, bands))
+        .zip(x.par_chunks_mut(single).zip(gated.par_chunks_mut(single)))
+        .for_each(|((middle, gate2), (x, gated))| {
+            let mut narrow = vec![E::default(); x.len()];
+            scale(&mut narrow, gated, &factor);
+            linear(gated, &block.conv3, &narrow, c);
+            add_scaled(x, gated, block.beta.values());
+            if let Some(middle) = middle {
+                middle.copy_from_slice(x);
+            }
+            let mut local = vec![E::default(); if gate2.is_none() { 2 * x.len() } else { 0 }];
+            let input = gate2.unwrap_or(&mut local);
+            second_gate_input(input, block, x, &mut narrow);
+            gate(gated, input);
+            linear(&mut narrow, &block.conv5, gated, c);
+            add_scaled(x, &narrow, block.gamma.values());
+        });
+    match (gate1, middle) {
+        (Some(gate1), Some(middle)) => Some(Kept { gate1, factor, middle, gate2 }),
+        _ => None,
+    }
+}
+
+impl<E: Scalar> Kept<E> {
+    /// Adds the gradient with respect to the block's input `x` to `dx`, given that with respect to its output.
+    fn backward(self, block: &Block<E>, layout: Layout, x: &[E], mut dy: Vec<E>, dx: &mut [E]) {
+        let (c, bands) = (block.channels, layout.bands());
+        let (single, double) = (layout.band_len(), 2 * layout.band_len());
+        let wide = layout.with_channels(2 * c);
+        let Self { mut gate1, factor, middle, mut gate2 } = self;
+
+        // The second half turns `dy` into the gradient between the halves; `dgated` is that with respect to the first gate's
+        // output, as far as it does not come through the factors.
+        let mut dgated = vec![E::default(); layout.len()];
+        let dfactors: Vec<Vec<E>> = pieces(gate2.as_mut(), double, bands)
+            .into_par_iter()
+            .zip(dy.par_chunks_mut(single).zip(dgated.par_chunks_mut(single)))
+            .zip(middle.par_chunks(single).zip(gate1.par_chunks(double)))
+            .map(|((gate2, (dy, dgated)), (middle, gate1))| {
+                let mut narrow = vec![E::default(); dy.len()];
+                let mut local = vec![E::default(); if gate2.is_none() { 2 * dy.len() } else { 0 }];
+                let input = match gate2 {
+                    Some(kept) => kept,
+                    None => {
+                        second_gate_input(&mut local, block, middle, &mut narrow);
+                        &mut local
+                    }
+                };
+                scale(&mut narrow, dy, block.gamma.values());
+                linear_backward(dgated, &block.conv5, &narrow, c);
+                gate_backward(input, dgated);
+                linear_backward(&mut narrow, &block.conv4, input, c);
+                norm_backward(dy, &narrow, middle, block.norm2.weight.values());
+                scale(&mut narrow, dy, block.beta.values());
+                linear_backward(dgated, &block.conv3, &narrow, c);
+                gate(&mut narrow, gate1);
+                let pixels = dy.len() / c;
+                narrow.chunks_exact(pixels).zip(dgated.chunks_exact(pixels)).map(|(g, d)| dot(g, d)).collect()
+            })
+            .collect();
+        drop((middle, gate2));
+        let share = pooled_gradient(block.sca.weight.values(), &total(&dfactors), layout.pixels());
+
+        gate1.par_chunks_mut(double).zip(dgated.par_chunks_mut(single)).for_each(|(gate1, dgated)| {
+            scale_shift(dgated, &factor, &share);
+            gate_backward(gate1, dgated);
+        });
+        drop(dgated);
+
+        dx.par_chunks_mut(single).zip(x.par_chunks(single).zip(dy.par_chunks(single))).enumerate().for_each(
+            |(band, (dx, (x, dy)))| {
+                let mut expanded = vec![E::default(); 2 * dx.len()];
+                let weight = block.conv2.weight.values();
+                depthwise_band(&mut expanded, &gate1, wide, band, |k| (turned(weight, k), E::default()));
+                let mut normal = vec![E::default(); dx.len()];
+                linear_backward(&mut normal, &block.conv1, &expanded, c);
+                norm_backward(dx, &normal, x, block.norm1.weight.values());
+                add(dx, dy);
+            },
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::{Block, block, composed};
+    use crate::nn::layout::Layout;
+    use crate::nn::ops::testing::{check, compare, numbers};
+    use crate::nn::params::block_tensors;
+    use crate::nn::tape::{Param, Planes};
+
+    fn random(channels: usize) -> Arc<Block<f64>> {
+        let tensors: Vec<_> = block_tensors(channels).collect();
+        let get = |name: &str| {
+            let (which, (_, shape)) = tensors.iter().enumerate().find(|(_, tensor)| tensor.0 == name).unwrap();
+            Ok(Param::constant(numbers(shape.iter().product(), which as u64).into()))
+        };
+        Arc::new(Block::new(channels, get).unwrap())
+    }
+
+    #[test]
+    fn one_operation_gives_what_the_single_ones_give() {
+        for (channels, height, width) in [(5, 20, 40), (3, 16, 16), (2, 3, 300), (130, 5, 6), (4, 1, 1)] {
+            let layout = Layout { channels, height, width };
+            let block_ = random(channels);
+            let x = Planes::constant(numbers(layout.len(), 3), layout).unwrap();
+            let (one, many) = (block(x.traced(), &block_).unwrap(), composed(x.traced(), &block_).unwrap());
+            compare(&one.values(), &many.values(), 1e-12, "values");
+            compare(&block(x.branch(), &block_).unwrap().values(), &many.values(), 1e-12, "values without tape");
+            let seed = numbers(layout.len(), 4);
+            let one = one.pull_back(seed.clone()).unwrap().of(&x).unwrap();
+            let many = many.pull_back(seed).unwrap().of(&x).unwrap();
+            compare(&one, &many, 1e-11, "gradient");
+        }
+    }
+
+    #[test]
+    fn gradients() {
+        let layout = Layout { channels: 5, height: 20, width: 40 };
+        let fixed = random(5);
+        check(layout, &[], |x, _| block(x, &fixed));
+        let tensors: Vec<_> = block_tensors(5).collect();
+        let sizes: Vec<usize> = tensors.iter().map(|(_, shape)| shape.iter().product()).collect();
+        check(layout, &sizes, |x, params| {
+            let get = |name: &str| Ok(params[tensors.iter().position(|tensor| tensor.0 == name).unwrap()].clone());
+            block(x, &Arc::new(Block::new(5, get)?))
+        });
+    }
+
+    #[test]
+    fn wrong_channels_are_an_error() {
+        let x = Planes::constant(vec![0.0; 3], Layout { channels: 3, height: 1, width: 1 }).unwrap();
+        assert!(block(x, &random(4)).is_err());
+    }
+}

@@ -1,0 +1,122 @@
+//! Simplified channel attention.
+
+use dfdx::tensor::{Cpu, Tape};
+use rayon::prelude::*;
+
+use super::expect;
+use crate::error::Result;
+use crate::nn::kernels::{add_scaled, dot, scale, sum};
+use crate::nn::layout::Layout;
+use crate::nn::matrix::{Matrix, multiply};
+use crate::nn::scalar::Scalar;
+use crate::nn::tape::{Param, Planes, record};
+
+/// Every channel times `weight mean(x) + bias`, the mean over all pixels. `weight` (C, C), `bias` (C).
+///
+/// # Source
+/// Chen et al., "Simple Baselines for Image Restoration", ECCV 2022, eq. 6.
+pub(crate) fn channel_attention<E: Scalar, T: Tape<E, Cpu>>(
+    x: Planes<E, T>,
+    weight: &Param<E>,
+    bias: &Param<E>,
+) -> Result<Planes<E, T>> {
+    let (layout, channels) = (x.layout, x.layout.channels);
+    expect("attention weight", weight, channels * channels)?;
+    expect("attention bias", bias, channels)?;
+    let mut values = x.values();
+    let mut mean = channel_sums(&values, layout, |row, _| sum(row));
+    mean.iter_mut().for_each(|mean| *mean *= E::of(1.0 / layout.pixels() as f64));
+    let factor = affine(weight.values(), &mean, bias.values());
+    values.par_chunks_mut(layout.band_len()).for_each(|band| {
+        let pixels = band.len() / channels;
+        for (row, &factor) in band.chunks_exact_mut(pixels).zip(&factor) {
+            row.iter_mut().for_each(|value| *value *= factor);
+        }
+    });
+
+    let (x, tape) = x.split();
+    let (weight, bias) = (weight.clone(), bias.clone());
+    let wanted = T::OWNS_TAPE && (x.is_wanted() || weight.is_tracked() || bias.is_tracked());
+    record(values, layout, tape, wanted, move |dy, grads| {
+        let values = x.values();
+        let dfactor = channel_sums(&dy, layout, |row, place| dot(row, &values[place..]));
+        x.add_gradient(grads, |dx| {
+            let share = pooled_gradient(weight.values(), &dfactor, layout.pixels());
+            dx.par_chunks_mut(layout.band_len()).zip(dy.par_chunks(layout.band_len())).for_each(|(dx, dy)| {
+                add_scaled(dx, dy, &factor);
+                for (row, &share) in dx.chunks_exact_mut(dy.len() / channels).zip(&share) {
+                    row.iter_mut().for_each(|dx| *dx += share);
+                }
+            });
+        })?;
+        weight.add_gradient(grads, |dweight| {
+            multiply(dweight, true, Matrix::new(&dfactor, channels, 1), Matrix::new(&mean, 1, channels));
+        })?;
+        bias.add_gradient(grads, |dbias| crate::nn::kernels::add(dbias, &dfactor))
+    })
+}
+
+/// For every channel the sum over bands of `measure(row, place)`: the channel's pixels in a band, and where they begin.
+pub(crate) fn channel_sums<E: Scalar>(
+    values: &[E],
+    layout: Layout,
+    measure: impl Fn(&[E], usize) -> E + Sync,
+) -> Vec<E> {
+    let of_band = |(band, values): (usize, &[E])| -> Vec<E> {
+        let pixels = values.len() / layout.channels;
+        let rows = values.chunks_exact(pixels).enumerate();
+        rows.map(|(c, row)| measure(row, band * layout.band_len() + c * pixels)).collect()
+    };
+    let bands: Vec<Vec<E>> = values.par_chunks(layout.band_len()).enumerate().map(of_band).collect();
+    total(&bands)
+}
+
+/// The sum of vectors, in their order.
+pub(crate) fn total<E: Scalar>(parts: &[Vec<E>]) -> Vec<E> {
+    let mut total = parts[0].clone();
+    for part in &parts[1..] {
+        crate::nn::kernels::add(&mut total, part);
+    }
+    total
+}
+
+/// `weight x + bias`.
+pub(crate) fn affine<E: Scalar>(weight: &[E], x: &[E], bias: &[E]) -> Vec<E> {
+    let mut out = bias.to_vec();
+    multiply(&mut out, true, Matrix::new(weight, bias.len(), x.len()), Matrix::new(x, x.len(), 1));
+    out
+}
+
+/// The gradient with respect to every pixel that comes through the mean, from that with respect to the factors.
+pub(crate) fn pooled_gradient<E: Scalar>(weight: &[E], dfactor: &[E], pixels: usize) -> Vec<E> {
+    let channels = dfactor.len();
+    let mut share = vec![E::default(); channels];
+    let weight = Matrix::new(weight, channels, channels).transposed();
+    multiply(&mut share, false, weight, Matrix::new(dfactor, channels, 1));
+    let mut out = vec![E::default(); channels];
+    scale(&mut out, &share, &vec![E::of(1.0 / pixels as f64); channels]);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::channel_attention;
+    use crate::nn::layout::Layout;
+    use crate::nn::ops::testing::{check, compare};
+    use crate::nn::tape::{Param, Planes};
+
+    #[test]
+    fn scales_by_a_function_of_the_means() {
+        let layout = Layout { channels: 2, height: 1, width: 2 };
+        let x = Planes::constant(vec![1.0, 3.0, 10.0, 20.0], layout).unwrap();
+        let weight = Param::constant(vec![1.0, 2.0, -1.0, 0.5].into());
+        let out = channel_attention(x, &weight, &Param::constant(vec![0.5, 0.25].into())).unwrap();
+        let (a, b) = (2.0 + 2.0 * 15.0 + 0.5, -2.0 + 7.5 + 0.25);
+        compare(&out.values(), &[a, 3.0 * a, 10.0 * b, 20.0 * b], 1e-15, "attention");
+    }
+
+    #[test]
+    fn gradients() {
+        check(Layout { channels: 3, height: 20, width: 40 }, &[9, 3], |x, p| channel_attention(x, &p[0], &p[1]));
+    }
+}
