@@ -1,12 +1,18 @@
 //! The network: NAFNet encoder and decoder with a graph convolution over the photos' features, and the per-map adapters.
 #![allow(dead_code)]
+mod config;
 mod kernels;
 mod layout;
 mod matrix;
+mod model;
 mod nafnet;
+mod network;
 mod ops;
 mod params;
 mod scalar;
 mod tape;
+mod weights;
 
+pub use config::{Gcn, NetworkConfig};
+pub use model::{Code, DecoderTrace, Model, Network};
 pub use params::AdapterParams;

@@ -12,6 +12,8 @@ pub(crate) trait Scalar: Dtype {
     fn fused(self, a: Self, b: Self) -> Self;
     /// Square root.
     fn root(self) -> Self;
+    /// Hyperbolic tangent.
+    fn tanh(self) -> Self;
 }
 
 macro_rules! scalar {
@@ -32,6 +34,9 @@ macro_rules! scalar {
             #[inline(always)]
             fn root(self) -> Self {
                 self.sqrt()
+            }
+            fn tanh(self) -> Self {
+                self.tanh()
             }
         }
     };

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::expect;
 use crate::error::Result;
-use crate::nn::kernels::{add_scaled, dot, scale, sum};
+use crate::nn::kernels::{add, add_scaled, dot, scale, sum};
 use crate::nn::layout::Layout;
 use crate::nn::matrix::{Matrix, multiply};
 use crate::nn::scalar::Scalar;
@@ -52,7 +52,7 @@ pub(crate) fn channel_attention<E: Scalar, T: Tape<E, Cpu>>(
         weight.add_gradient(grads, |dweight| {
             multiply(dweight, true, Matrix::new(&dfactor, channels, 1), Matrix::new(&mean, 1, channels));
         })?;
-        bias.add_gradient(grads, |dbias| crate::nn::kernels::add(dbias, &dfactor))
+        bias.add_gradient(grads, |dbias| add(dbias, &dfactor))
     })
 }
 
@@ -75,7 +75,7 @@ pub(crate) fn channel_sums<E: Scalar>(
 pub(crate) fn total<E: Scalar>(parts: &[Vec<E>]) -> Vec<E> {
     let mut total = parts[0].clone();
     for part in &parts[1..] {
-        crate::nn::kernels::add(&mut total, part);
+        add(&mut total, part);
     }
     total
 }

@@ -1,5 +1,7 @@
 //! Dense convolutions: 1x1, and 3x3 with zero padding.
 
+use std::ops::Range;
+
 use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
@@ -51,30 +53,40 @@ pub(crate) fn pointwise<E: Scalar, T: Tape<E, Cpu>>(
     })
 }
 
-/// 3x3 convolution with zero padding 1: (C, H, W) -> (O, H, W). `weight` (O, C, 3, 3), `bias` (O).
+/// 3x3 convolution with zero padding 1, the same for each of `images` images whose channels lie one after the other:
+/// (images * C, H, W) -> (images * O, H, W). `weight` (O, C, 3, 3), `bias` (O).
 pub(crate) fn conv3x3<E: Scalar, T: Tape<E, Cpu>>(
     x: Planes<E, T>,
+    images: usize,
     weight: &Param<E>,
     bias: &Param<E>,
 ) -> Result<Planes<E, T>> {
     let layout = x.layout;
-    let outputs = outputs("conv3x3", weight, Some(bias), 9 * layout.channels)?;
-    let to = layout.with_channels(outputs);
+    if images == 0 || layout.channels % images != 0 {
+        return Err(Error::shape("conv3x3", format!("channels of {images} images"), layout.channels.to_string()));
+    }
+    let channels = layout.channels / images;
+    let outputs = outputs("conv3x3", weight, Some(bias), 9 * channels)?;
+    let to = layout.with_channels(images * outputs);
     let mut out = vec![E::default(); to.len()];
-    correlate(&mut out, &x.values(), layout, weight.values(), Some(bias.values()));
+    correlate(&mut out, &x.values(), layout, images, weight.values(), Some(bias.values()));
 
     let (x, tape) = x.split();
     let (weight, bias) = (weight.clone(), bias.clone());
     let wanted = T::OWNS_TAPE && (x.is_wanted() || weight.is_tracked() || bias.is_tracked());
     record(out, to, tape, wanted, move |dy, grads| {
-        x.add_gradient(grads, |dx| correlate(dx, &dy, to, &mirrored(weight.values(), layout.channels), None))?;
+        x.add_gradient(grads, |dx| {
+            correlate(dx, &dy, to, images, &mirrored(weight.values(), channels), None);
+        })?;
         weight.add_gradient(grads, |dweight| {
             let values = x.values();
             for (band, dy) in dy.chunks(to.band_len()).enumerate() {
-                let columns = neighbourhoods(&values, layout, band);
-                let pixels = dy.len() / outputs;
-                let columns = Matrix::new(&columns, 9 * layout.channels, pixels).transposed();
-                multiply(dweight, true, Matrix::new(dy, outputs, pixels), columns);
+                let pixels = dy.len() / to.channels;
+                for (image, dy) in dy.chunks_exact(outputs * pixels).enumerate() {
+                    let columns = neighbourhoods(&values, layout, band, image * channels..(image + 1) * channels);
+                    let columns = Matrix::new(&columns, 9 * channels, pixels).transposed();
+                    multiply(dweight, true, Matrix::new(dy, outputs, pixels), columns);
+                }
             }
         })?;
         bias.add_gradient(grads, |dbias| add_sums(dbias, &dy, to))
@@ -92,36 +104,41 @@ fn outputs<E: Scalar>(name: &str, weight: &Param<E>, bias: Option<&Param<E>>, in
     Ok(outputs)
 }
 
-/// Adds the sums over pixels of each channel.
+/// Adds the sums over pixels of each channel; channels beyond those of `sums` begin from its first again.
 fn add_sums<E: Scalar>(sums: &mut [E], values: &[E], layout: Layout) {
+    let outputs = sums.len();
     for band in values.chunks(layout.band_len()) {
         let pixels = band.len() / layout.channels;
-        for (total, row) in sums.iter_mut().zip(band.chunks_exact(pixels)) {
-            *total += sum(row);
+        for (channel, row) in band.chunks_exact(pixels).enumerate() {
+            sums[channel % outputs] += sum(row);
         }
     }
 }
 
-/// Adds the convolution of `x` with 3x3 `weight`s, or sets `out` to it plus `bias` where there is one.
-fn correlate<E: Scalar>(out: &mut [E], x: &[E], layout: Layout, weight: &[E], bias: Option<&[E]>) {
-    let outputs = weight.len() / (9 * layout.channels);
-    let weight = Matrix::new(weight, outputs, 9 * layout.channels);
-    out.par_chunks_mut(layout.with_channels(outputs).band_len()).enumerate().for_each(|(band, out)| {
-        if bias.is_some() {
-            fill(out, outputs, bias);
+/// Adds the convolution of each image with 3x3 `weight`s, or sets `out` to it plus `bias` where there is one.
+fn correlate<E: Scalar>(out: &mut [E], x: &[E], layout: Layout, images: usize, weight: &[E], bias: Option<&[E]>) {
+    let channels = layout.channels / images;
+    let outputs = weight.len() / (9 * channels);
+    let weight = Matrix::new(weight, outputs, 9 * channels);
+    out.par_chunks_mut(layout.with_channels(images * outputs).band_len()).enumerate().for_each(|(band, out)| {
+        let pixels = out.len() / (images * outputs);
+        for (image, out) in out.chunks_exact_mut(outputs * pixels).enumerate() {
+            if bias.is_some() {
+                fill(out, outputs, bias);
+            }
+            let columns = neighbourhoods(x, layout, band, image * channels..(image + 1) * channels);
+            multiply(out, true, weight, Matrix::new(&columns, 9 * channels, pixels));
         }
-        let columns = neighbourhoods(x, layout, band);
-        multiply(out, true, weight, Matrix::new(&columns, 9 * layout.channels, out.len() / outputs));
     });
 }
 
-/// The 3x3 neighbourhoods of the pixels of a band: (C * 9, pixels), zero outside the image.
-fn neighbourhoods<E: Scalar>(x: &[E], layout: Layout, band: usize) -> Vec<E> {
+/// The 3x3 neighbourhoods of the pixels of a band, in some of its channels: (channels * 9, pixels), zero outside the image.
+fn neighbourhoods<E: Scalar>(x: &[E], layout: Layout, band: usize, channels: Range<usize>) -> Vec<E> {
     let (rows, width) = (layout.band_rows(band), layout.width);
-    let mut columns = vec![E::default(); 9 * layout.channels * rows.len() * width];
+    let mut columns = vec![E::default(); 9 * channels.len() * rows.len() * width];
     for (line, to) in columns.chunks_exact_mut(width).enumerate() {
         let (row, tap) = (rows.start + line % rows.len(), line / rows.len());
-        let (channel, dy, dx) = (tap / 9, tap % 9 / 3, tap % 3);
+        let (channel, dy, dx) = (channels.start + tap / 9, tap % 9 / 3, tap % 3);
         let Some(row) = (row + dy).checked_sub(1).filter(|&row| row < layout.height) else { continue };
         let from = &x[layout.row(channel, row)];
         match dx {
@@ -157,7 +174,7 @@ mod tests {
         let (x, weight, bias) = (numbers(layout.len(), 1), numbers(2 * 3 * 9, 2), numbers(2, 3));
         let planes = Planes::constant(layout.from_planar(&x, 20, 40), layout).unwrap();
         let params = [&weight, &bias].map(|values| Param::constant(values.clone().into()));
-        let out = conv3x3(planes, &params[0], &params[1]).unwrap();
+        let out = conv3x3(planes, 1, &params[0], &params[1]).unwrap();
         let out = out.layout.to_planar(&out.values(), 20, 40);
         for o in 0..2 {
             for i in 0..20isize {
@@ -183,8 +200,9 @@ mod tests {
         let layout = Layout { channels: 3, height: 20, width: 40 };
         check(layout, &[2 * 3, 2], |x, p| pointwise(x, &p[0], Some(&p[1])));
         check(layout, &[12], |x, p| pointwise(x, &p[0], None));
-        check(layout, &[2 * 3 * 9, 2], |x, p| conv3x3(x, &p[0], &p[1]));
-        check(Layout { channels: 2, height: 3, width: 1 }, &[2 * 9, 1], |x, p| conv3x3(x, &p[0], &p[1]));
+        check(layout, &[2 * 3 * 9, 2], |x, p| conv3x3(x, 1, &p[0], &p[1]));
+        check(layout, &[2 * 9, 2], |x, p| conv3x3(x, 3, &p[0], &p[1]));
+        check(Layout { channels: 2, height: 3, width: 1 }, &[2 * 9, 1], |x, p| conv3x3(x, 1, &p[0], &p[1]));
     }
 
     #[test]
@@ -195,6 +213,7 @@ mod tests {
         assert!(pointwise(x(), &param(7), None).is_err());
         assert!(pointwise(x(), &param(0), None).is_err());
         assert!(pointwise(x(), &param(6), Some(&param(3))).is_err());
-        assert!(conv3x3(x(), &param(27), &param(2)).is_err());
+        assert!(conv3x3(x(), 1, &param(27), &param(2)).is_err());
+        assert!(conv3x3(x(), 2, &param(27), &param(1)).is_err());
     }
 }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::expect;
 use crate::error::Result;
-use crate::nn::kernels::{depthwise, depthwise_backward_weight, sum};
+use crate::nn::kernels::{add, depthwise, depthwise_backward_weight, sum};
 use crate::nn::layout::Layout;
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Param, Planes, record};
@@ -34,7 +34,7 @@ pub(crate) fn depthwise3x3<E: Scalar, T: Tape<E, Cpu>>(
             dx.par_chunks_mut(layout.band_len()).enumerate().for_each(|(band, dx)| {
                 let mut back = vec![E::default(); dx.len()];
                 depthwise_band(&mut back, &dy, layout, band, |c| (turned(weight.values(), c), E::default()));
-                crate::nn::kernels::add(dx, &back);
+                add(dx, &back);
             });
         })?;
         weight.add_gradient(grads, |dweight| {
@@ -114,7 +114,7 @@ mod tests {
             for c in 0..3 {
                 full[(c * 3 + c) * 9..][..9].copy_from_slice(&weight[c * 9..][..9]);
             }
-            let expected = conv3x3(x.branch(), &Param::constant(full.into()), &bias).unwrap();
+            let expected = conv3x3(x.branch(), 1, &Param::constant(full.into()), &bias).unwrap();
             let got = depthwise3x3(x, &Param::constant(weight.into()), &bias).unwrap();
             compare(&got.values(), &expected.values(), 1e-14, "depthwise");
         }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::expect;
 use crate::error::Result;
-use crate::nn::kernels::{norm, norm_backward, norm_backward_params};
+use crate::nn::kernels::{add, norm, norm_backward, norm_backward_params};
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Param, Planes, record};
 
@@ -45,8 +45,8 @@ pub(crate) fn layer_norm<E: Scalar, T: Tape<E, Cpu>>(
         for (dy, x) in dy.chunks(layout.band_len()).zip(values.chunks(layout.band_len())) {
             norm_backward_params(&mut dweight, &mut dbias, dy, x);
         }
-        weight.add_gradient(grads, |gradient| crate::nn::kernels::add(gradient, &dweight))?;
-        bias.add_gradient(grads, |gradient| crate::nn::kernels::add(gradient, &dbias))
+        weight.add_gradient(grads, |gradient| add(gradient, &dweight))?;
+        bias.add_gradient(grads, |gradient| add(gradient, &dbias))
     })
 }
 

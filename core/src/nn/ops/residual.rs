@@ -1,6 +1,6 @@
 //! Scaled residual connection.
 
-use dfdx::tensor::{Cpu, Merge, Tape};
+use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
 use super::expect;

@@ -1,6 +1,6 @@
 //! Pixel shuffle and its inverse.
 
-use dfdx::tensor::{Cpu, Merge, Tape};
+use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};

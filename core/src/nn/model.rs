@@ -1,0 +1,450 @@
+//! Weights files and the networks they hold.
+
+use std::borrow::Cow;
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::{BufReader, Cursor, Read, Seek};
+use std::path::Path;
+use std::sync::Arc;
+
+use safetensors::{Dtype, SafeTensorError, View};
+
+use super::config::NetworkConfig;
+use super::layout::Layout;
+use super::network::{Decoder, Encoder, Trace};
+use super::params::AdapterParams;
+use super::tape::{Param, Planes};
+use super::weights::{Reader, broken};
+use crate::error::{Error, Result};
+use crate::fit::progress::Control;
+use crate::maps::Lobe;
+
+/// What a weights file must say about itself: key, value.
+const CONVENTIONS: [(&str, &str); 5] = [
+    ("format", "svbrdf-gcn weights"),
+    ("version", "1"),
+    ("brdf", "paper"),
+    ("roughness", "perceptual"),
+    ("color_space", "photos gamma2.2, albedos gamma2.2 of [-1, 1]"),
+];
+
+/// The order of the adapters' outputs, as a weights file states it.
+fn channel_order(lobe: Lobe) -> &'static str {
+    match lobe {
+        Lobe::Isotropic => "diffuse 3, normal 2, roughness 1, specular 3",
+        Lobe::Anisotropic => "diffuse 3, normal 3, roughness 2, specular 3, tangent 3",
+    }
+}
+
+/// The networks of a weights file: one for each number of photos it was trained for.
+///
+/// Immutable, `Send` and `Sync`: load it once and share it by [`Arc`].
+#[derive(Debug)]
+pub struct Model {
+    networks: Vec<Network>,
+    license: String,
+}
+
+impl Model {
+    /// Loads all networks of a weights file.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if the file cannot be opened; [`Error::Weights`] if it is not a weights file of this version, is damaged, states
+    /// other conventions, or holds tensors that are missing, unknown, of another shape or not finite.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        Self::read(Self::open(path.as_ref())?, None)
+    }
+
+    /// Loads only the network that a fit with `photos` photos takes, the one for the most photos that are there.
+    ///
+    /// # Errors
+    /// As [`Model::load`] and [`Model::network`].
+    pub fn load_for(path: impl AsRef<Path>, photos: usize) -> Result<Self> {
+        Self::read(Self::open(path.as_ref())?, Some(photos))
+    }
+
+    /// As [`Model::load`], from a file's content.
+    ///
+    /// # Errors
+    /// As [`Model::load`].
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        Self::read(Cursor::new(bytes), None)
+    }
+
+    /// Networks of these sizes with random weights, the same for the same `seed`: for benchmarks and tests.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] if a size is out of range, or two networks are for the same number of photos.
+    pub fn random(configs: &[NetworkConfig], seed: u64) -> Result<Self> {
+        check_together(configs)?;
+        let mut state = seed;
+        let networks = configs
+            .iter()
+            .map(|config| Network::new(config.clone(), |name, shape| Ok(random_tensor(name, shape, &mut state))));
+        Self::from_networks(networks.collect::<Result<_>>()?, "random weights, no licence needed".into())
+    }
+
+    /// Writes all networks, as `f32`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if the file cannot be written.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        let path = path.as_ref();
+        let mut tensors = Vec::new();
+        for network in &self.networks {
+            let prefix = prefix(&network.config);
+            network.for_each_tensor(|name, shape, values| {
+                tensors.push((format!("{prefix}{name}"), Stored { shape, values }));
+            });
+        }
+        let metadata = self.metadata().map_err(|error| Error::io(path, error))?;
+        safetensors::serialize_to_file(tensors, Some(metadata), path).map_err(|error| match error {
+            SafeTensorError::IoError(error) => Error::io(path, error),
+            other => Error::io(path, std::io::Error::other(other.to_string())),
+        })
+    }
+
+    /// The network for the most photos that `photos` photos suffice for.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] naming both numbers if even the network for the fewest photos needs more.
+    pub fn network(&self, photos: usize) -> Result<&Network> {
+        self.networks
+            .iter()
+            .rev()
+            .find(|network| network.config.photos <= photos)
+            .ok_or_else(|| too_few(self.networks.first().map_or(0, |network| network.config.photos), photos))
+    }
+
+    /// All networks, that for the fewest photos first.
+    pub fn networks(&self) -> &[Network] {
+        &self.networks
+    }
+
+    /// The licence the weights come under, as their file states it.
+    pub fn license(&self) -> &str {
+        &self.license
+    }
+
+    fn open(path: &Path) -> Result<BufReader<File>> {
+        Ok(BufReader::new(File::open(path).map_err(|error| Error::io(path, error))?))
+    }
+
+    fn from_networks(mut networks: Vec<Network>, license: String) -> Result<Self> {
+        networks.sort_by_key(|network| network.config.photos);
+        Ok(Self { networks, license })
+    }
+
+    fn read(source: impl Read + Seek, photos: Option<usize>) -> Result<Self> {
+        let mut reader = Reader::open(source)?;
+        for (key, expected) in CONVENTIONS {
+            let got = reader.metadata(key)?;
+            if got != expected {
+                return Err(broken(format!("metadata entry \"{key}\": expected \"{expected}\", got \"{got}\"")));
+            }
+        }
+        let license = reader.metadata("license")?.to_owned();
+        let configs: Vec<NetworkConfig> = serde_json::from_str(reader.metadata("networks")?)
+            .map_err(|error| broken(format!("metadata entry \"networks\": {error}")))?;
+        check_together(&configs)?;
+        let (expected, got) = (channel_order(configs[0].lobe), reader.metadata("channels")?);
+        if got != expected {
+            return Err(broken(format!("metadata entry \"channels\": expected \"{expected}\", got \"{got}\"")));
+        }
+
+        let mut unknown = reader.names();
+        for config in &configs {
+            for name in config.all_tensors() {
+                let name = format!("{}{name}", prefix(config));
+                if !unknown.remove(&name) {
+                    return Err(broken(format!("tensor {name} is missing")));
+                }
+            }
+        }
+        if let Some(name) = unknown.first() {
+            return Err(broken(format!("tensor {name:?} belongs to no network")));
+        }
+
+        let mut chosen = configs;
+        if let Some(photos) = photos {
+            let fewest = chosen.iter().map(|config| config.photos).min().unwrap_or(0);
+            let most = chosen.iter().map(|config| config.photos).filter(|&needed| needed <= photos).max();
+            let most = most.ok_or_else(|| too_few(fewest, photos))?;
+            chosen.retain(|config| config.photos == most);
+        }
+        let networks = chosen.into_iter().map(|config| {
+            let prefix = prefix(&config);
+            Network::new(config, |name, shape| reader.read(&format!("{prefix}{name}"), shape))
+        });
+        Self::from_networks(networks.collect::<Result<_>>()?, license)
+    }
+
+    fn metadata(&self) -> std::result::Result<HashMap<String, String>, serde_json::Error> {
+        let configs: Vec<_> = self.networks.iter().map(|network| &network.config).collect();
+        let mut metadata: HashMap<String, String> =
+            CONVENTIONS.iter().map(|&(key, value)| (key.into(), value.into())).collect();
+        metadata.insert("license".into(), self.license.clone());
+        metadata.insert("networks".into(), serde_json::to_string(&configs)?);
+        if let Some(first) = configs.first() {
+            metadata.insert("channels".into(), channel_order(first.lobe).into());
+        }
+        Ok(metadata)
+    }
+}
+
+/// A tensor on its way into a file.
+struct Stored<'a> {
+    shape: Vec<usize>,
+    values: &'a [f32],
+}
+
+impl View for Stored<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        self.values.iter().flat_map(|value| value.to_le_bytes()).collect()
+    }
+
+    fn data_len(&self) -> usize {
+        size_of_val(self.values)
+    }
+}
+
+fn too_few(needed: usize, got: usize) -> Error {
+    broken(format!("the network for the fewest photos needs {needed}, got {got}"))
+}
+
+fn prefix(config: &NetworkConfig) -> String {
+    format!("photos{}.", config.photos)
+}
+
+/// Fails unless these networks can share a file.
+fn check_together(configs: &[NetworkConfig]) -> Result<()> {
+    let Some(first) = configs.first() else { return Err(broken("holds no network")) };
+    for (i, config) in configs.iter().enumerate() {
+        config.validate()?;
+        if configs[..i].iter().any(|other| other.photos == config.photos) {
+            return Err(broken(format!("holds two networks for {} photos", config.photos)));
+        }
+        if config.lobe != first.lobe {
+            return Err(broken("holds isotropic and anisotropic networks"));
+        }
+    }
+    Ok(())
+}
+
+/// Fixed values for a parameter, of a size that keeps signals alive through the layers.
+fn random_tensor(name: &str, shape: &[usize], state: &mut u64) -> Vec<f32> {
+    let len = shape.iter().product();
+    if name.contains("norm") && name.ends_with("weight") || name.ends_with("adj1") {
+        return vec![1.0; len];
+    }
+    if name.ends_with("lamda") {
+        return vec![0.1; len];
+    }
+    let inputs: usize = shape.iter().skip(1).product();
+    let scale = if name.ends_with("weight") { (3.0 / inputs as f32).sqrt() } else { 0.2 };
+    let mut next = || {
+        // SplitMix64.
+        *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut bits = *state;
+        bits = (bits ^ (bits >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        bits = (bits ^ (bits >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((bits ^ (bits >> 31)) >> 40) as f32 / (1u64 << 23) as f32 - 1.0
+    };
+    (0..len).map(|_| scale * next()).collect()
+}
+
+/// One encoder with its decoder and adapters.
+pub struct Network {
+    config: NetworkConfig,
+    tensors: BTreeMap<String, Arc<Vec<f32>>>,
+    adapters: Vec<AdapterParams>,
+    encoder: Encoder<f32>,
+    decoder: Decoder<f32>,
+}
+
+impl std::fmt::Debug for Network {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("Network").field(&self.config).finish()
+    }
+}
+
+/// What the encoder makes of photos.
+#[derive(Clone)]
+pub struct Code {
+    /// The latent code, plane after plane.
+    pub latent: Vec<f32>,
+    layout: Layout,
+    skips: Vec<Arc<Planes<f32>>>,
+    height: usize,
+    width: usize,
+}
+
+impl Code {
+    /// Rows of the photos.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Columns of the photos.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// What level `level` of the encoder, 0 the finest, hands to the decoder, plane after plane: channels times rows times columns,
+    /// photo rows and columns rounded up to multiples of 2^levels and divided by 2^level.
+    pub fn skip(&self, level: usize) -> Option<Vec<f32>> {
+        let planes = self.skips.get(level)?;
+        Some(planes.layout.to_planar(&planes.values(), planes.layout.height, planes.layout.width))
+    }
+}
+
+/// A run of the decoder whose gradient can be taken back.
+pub struct DecoderTrace {
+    trace: Trace<f32>,
+    layout: Layout,
+    height: usize,
+    width: usize,
+}
+
+impl DecoderTrace {
+    /// The gradient with respect to the latent code, plane after plane, given that with respect to the material feature.
+    ///
+    /// # Errors
+    /// [`Error::ShapeMismatch`] if `gradient` has not the feature's length; [`Error::Cancelled`].
+    pub fn pull_back(self, gradient: &[f32], control: &mut Control<'_>) -> Result<Vec<f32>> {
+        let layout = self.trace.feature.layout;
+        expect_len("gradient", gradient.len(), layout.channels * self.height * self.width)?;
+        let gradient = layout.from_planar(gradient, self.height, self.width);
+        let latent = self.trace.pull_back(gradient, control)?;
+        Ok(self.layout.to_planar(&latent, self.layout.height, self.layout.width))
+    }
+}
+
+fn expect_len(name: &str, got: usize, expected: usize) -> Result<()> {
+    if got == expected {
+        Ok(())
+    } else {
+        Err(Error::shape(name, format!("{expected} values"), format!("{got} values")))
+    }
+}
+
+impl Network {
+    /// A network whose tensors `get` gives by name and shape.
+    fn new(config: NetworkConfig, mut get: impl FnMut(&str, &[usize]) -> Result<Vec<f32>>) -> Result<Self> {
+        let mut tensors = BTreeMap::new();
+        for (name, shape) in config.tensors() {
+            let values = Arc::new(get(&name, &shape)?);
+            tensors.insert(name, values);
+        }
+        let mut adapters = Vec::new();
+        for &(name, outputs) in config.adapters() {
+            let mut values = Vec::new();
+            for (name, shape, _) in config.adapter_tensors(name, outputs) {
+                values.extend(get(&name, &shape)?);
+            }
+            adapters.push(AdapterParams::new(config.feature_channels(), outputs, values)?);
+        }
+        let mut param = |name: &str| match tensors.get(name) {
+            Some(values) => Ok(Param::constant(values.clone())),
+            None => Err(broken(format!("tensor {name} is missing"))),
+        };
+        let (encoder, decoder) = (Encoder::new(&config, &mut param)?, Decoder::new(&config, &mut param)?);
+        Ok(Self { encoder, decoder, config, tensors, adapters })
+    }
+
+    fn for_each_tensor<'a>(&'a self, mut visit: impl FnMut(&str, Vec<usize>, &'a [f32])) {
+        for (name, shape) in self.config.tensors() {
+            if let Some(values) = self.tensors.get(&name) {
+                visit(&name, shape, values);
+            }
+        }
+        for (&(name, outputs), adapter) in self.config.adapters().iter().zip(&self.adapters) {
+            for (name, shape, range) in self.config.adapter_tensors(name, outputs) {
+                visit(&name, shape, &adapter.values[range]);
+            }
+        }
+    }
+
+    /// Sizes and form.
+    pub fn config(&self) -> &NetworkConfig {
+        &self.config
+    }
+
+    /// The adapters in the order of their outputs: diffuse, normal, roughness, specular, and tangent if anisotropic.
+    pub fn adapters(&self) -> &[AdapterParams] {
+        &self.adapters
+    }
+
+    /// Encodes photos of `height` x `width` pixels: as many as the network takes, each three planes R, G, B, encoded with gamma 2.2, [0, 1].
+    ///
+    /// Sides that are no multiple of 2^levels are continued with zeros to the right and below.
+    ///
+    /// # Errors
+    /// [`Error::ShapeMismatch`] if the number of photos or a length differs, or a side is zero; [`Error::Cancelled`].
+    pub fn encode(&self, photos: &[&[f32]], height: usize, width: usize, control: &mut Control<'_>) -> Result<Code> {
+        if photos.len() != self.config.photos {
+            return Err(Error::shape("photos", self.config.photos.to_string(), photos.len().to_string()));
+        }
+        let pixels = height.checked_mul(width).filter(|&pixels| pixels > 0 && pixels < 1 << 40);
+        let pixels =
+            pixels.ok_or_else(|| Error::shape("photo", "1 x 1 pixels or more", format!("{height} x {width}")))?;
+        for photo in photos {
+            expect_len("photo", photo.len(), 3 * pixels)?;
+        }
+        let unit = 1 << self.config.levels();
+        let layout = Layout {
+            channels: 3 * photos.len(),
+            height: height.next_multiple_of(unit),
+            width: width.next_multiple_of(unit),
+        };
+        let photos = Planes::constant(layout.from_planar(&photos.concat(), height, width), layout)?;
+        let (latent, skips) = self.encoder.run(photos, control)?;
+        let layout = latent.layout;
+        let latent = layout.to_planar(&latent.values(), layout.height, layout.width);
+        Ok(Code { latent, layout, skips: skips.into_iter().map(Arc::new).collect(), height, width })
+    }
+
+    /// The material feature, (9 or 14, H, W) plane after plane, of `latent` with the skips of `code`.
+    ///
+    /// # Errors
+    /// [`Error::ShapeMismatch`] if `latent` has not the length of `code`'s; [`Error::Cancelled`].
+    pub fn decode(&self, latent: &[f32], code: &Code, control: &mut Control<'_>) -> Result<Vec<f32>> {
+        let feature = self.decoder.run(self.start(latent, code)?, &skips(code), control)?;
+        Ok(feature.layout.to_planar(&feature.values(), code.height, code.width))
+    }
+
+    /// As [`Network::decode`], and what takes a gradient back to the latent code.
+    ///
+    /// # Errors
+    /// As [`Network::decode`].
+    pub fn decode_traced(
+        &self,
+        latent: &[f32],
+        code: &Code,
+        control: &mut Control<'_>,
+    ) -> Result<(Vec<f32>, DecoderTrace)> {
+        let trace = self.decoder.run_traced(self.start(latent, code)?, &skips(code), control)?;
+        let feature = trace.feature.layout.to_planar(&trace.feature.values(), code.height, code.width);
+        Ok((feature, DecoderTrace { trace, layout: code.layout, height: code.height, width: code.width }))
+    }
+
+    fn start(&self, latent: &[f32], code: &Code) -> Result<Planes<f32>> {
+        expect_len("latent", latent.len(), code.layout.len())?;
+        if code.layout.channels != self.config.latent_channels() || code.skips.len() != self.config.levels() {
+            return Err(Error::invalid("code", "comes from another network"));
+        }
+        Planes::constant(code.layout.from_planar(latent, code.layout.height, code.layout.width), code.layout)
+    }
+}
+
+fn skips(code: &Code) -> Vec<Planes<f32>> {
+    code.skips.iter().map(|skip| skip.branch()).collect()
+}

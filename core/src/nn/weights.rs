@@ -1,0 +1,98 @@
+//! Reading weights files, which may be broken or hostile.
+
+use std::collections::BTreeSet;
+use std::io::{Read, Seek, SeekFrom};
+
+use half::f16;
+use safetensors::Dtype;
+use safetensors::tensor::Metadata;
+
+use crate::error::{Error, Result};
+
+/// Longest header accepted; that of a file with the released networks has some 100 kB.
+const MAX_HEADER: u64 = 8 << 20;
+/// Bytes read at a time.
+const BUFFER: usize = 1 << 16;
+
+/// An [`Error::Weights`].
+pub(crate) fn broken(reason: impl Into<String>) -> Error {
+    Error::Weights { reason: reason.into() }
+}
+
+/// A safetensors file whose header has been checked; tensors are read one by one.
+pub(crate) struct Reader<R> {
+    source: R,
+    header: Metadata,
+    start: u64,
+}
+
+impl<R: Read + Seek> Reader<R> {
+    /// Reads and checks the header.
+    pub fn open(mut source: R) -> Result<Self> {
+        let unreadable = |error: std::io::Error| broken(format!("cannot be read: {error}"));
+        let total = source.seek(SeekFrom::End(0)).map_err(unreadable)?;
+        source.seek(SeekFrom::Start(0)).map_err(unreadable)?;
+        let mut len = [0; 8];
+        source.read_exact(&mut len).map_err(|_| broken(format!("expected 8 bytes or more, got {total}")))?;
+        let len = u64::from_le_bytes(len);
+        if len > MAX_HEADER || len > total - 8 {
+            return Err(broken(format!(
+                "header of {len} bytes in a file of {total}, at most {MAX_HEADER} are accepted"
+            )));
+        }
+        let mut header = Vec::new();
+        source.by_ref().take(len).read_to_end(&mut header).map_err(unreadable)?;
+        // Fails where tensors overlap, leave gaps or do not have the bytes their shapes need.
+        let header: Metadata = serde_json::from_slice(&header).map_err(|error| broken(format!("header: {error}")))?;
+        let (expected, got) = (header.data_len() as u64, total - 8 - len);
+        if expected != got {
+            return Err(broken(format!("expected {expected} bytes of data, got {got}")));
+        }
+        Ok(Self { source, header, start: 8 + len })
+    }
+
+    /// An entry of the file's metadata.
+    pub fn metadata(&self, key: &str) -> Result<&str> {
+        let found = self.header.metadata().as_ref().and_then(|metadata| metadata.get(key));
+        found.map(String::as_str).ok_or_else(|| broken(format!("metadata entry \"{key}\" is missing")))
+    }
+
+    /// The names of all tensors.
+    pub fn names(&self) -> BTreeSet<String> {
+        self.header.offset_keys().into_iter().collect()
+    }
+
+    /// Reads tensor `name` of `shape`, up to dimensions of one, as `f32`.
+    pub fn read(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
+        let info = self.header.info(name).ok_or_else(|| broken(format!("tensor {name} is missing")))?;
+        let sides = |shape: &[usize]| shape.iter().copied().filter(|&side| side != 1).collect::<Vec<_>>();
+        if sides(&info.shape) != sides(shape) {
+            return Err(broken(format!("tensor {name}: expected shape {shape:?}, got {:?}", info.shape)));
+        }
+        let size = match info.dtype {
+            Dtype::F32 => 4,
+            Dtype::F16 => 2,
+            other => return Err(broken(format!("tensor {name}: expected F32 or F16, got {other}"))),
+        };
+        let unreadable = |error: std::io::Error| broken(format!("tensor {name}: {error}"));
+        self.source.seek(SeekFrom::Start(self.start + info.data_offsets.0 as u64)).map_err(unreadable)?;
+        // The file is as long as its header says, so that this allocates no more than it holds.
+        let mut left = info.data_offsets.1 - info.data_offsets.0;
+        let mut values = Vec::with_capacity(left / size);
+        let mut buffer = vec![0; BUFFER.min(left)];
+        while left > 0 {
+            let bytes = &mut buffer[..BUFFER.min(left)];
+            self.source.read_exact(bytes).map_err(unreadable)?;
+            left -= bytes.len();
+            if size == 4 {
+                values.extend(bytes.as_chunks().0.iter().map(|&value| f32::from_le_bytes(value)));
+            } else {
+                values.extend(bytes.as_chunks().0.iter().map(|&value| f16::from_le_bytes(value).to_f32()));
+            }
+        }
+        match values.iter().position(|value| !value.is_finite()) {
+            Some(place) => Err(broken(format!("tensor {name}: value {place} is {}", values[place]))),
+            None => Ok(values),
+        }
+    }
+}
