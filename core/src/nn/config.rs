@@ -112,7 +112,7 @@ impl NetworkConfig {
         for &blocks in self.encoder_blocks.iter().chain(&self.decoder_blocks) {
             within("blocks of a level", blocks, 0, 64)?;
         }
-        if self.gcn != Gcn::None && self.width % self.photos != 0 {
+        if self.gcn != Gcn::None && !self.width.is_multiple_of(self.photos) {
             return fail(format!("width: expected a multiple of {} photos, got {}", self.photos, self.width));
         }
         if !(-1.0..1.0).contains(&self.roughness_floor) {

@@ -69,7 +69,7 @@ impl Layout {
     }
 
     /// An image in this layout from planes of `height` x `width` values, zero to the right and below of them.
-    pub fn from_planar<E: Scalar>(self, planar: &[E], height: usize, width: usize) -> Vec<E> {
+    pub fn pack<E: Scalar>(self, planar: &[E], height: usize, width: usize) -> Vec<E> {
         let mut out = vec![E::default(); self.len()];
         out.par_chunks_mut(self.band_len()).enumerate().for_each(|(band, chunk)| {
             let rows = self.band_rows(band);
@@ -84,7 +84,7 @@ impl Layout {
     }
 
     /// The upper left `height` x `width` pixels of an image in this layout, plane after plane.
-    pub fn to_planar<E: Scalar>(self, data: &[E], height: usize, width: usize) -> Vec<E> {
+    pub fn unpack<E: Scalar>(self, data: &[E], height: usize, width: usize) -> Vec<E> {
         let mut out = vec![E::default(); self.channels * height * width];
         out.par_chunks_mut(height * width).enumerate().for_each(|(channel, plane)| {
             for (row, target) in plane.chunks_exact_mut(width).enumerate() {
@@ -126,8 +126,8 @@ mod tests {
     fn padding_and_cropping() {
         let layout = Layout { channels: 2, height: 36, width: 44 };
         let planar: Vec<f32> = (0..2 * 33 * 41).map(|i| i as f32 + 1.0).collect();
-        let padded = layout.from_planar(&planar, 33, 41);
-        assert_eq!(layout.to_planar(&padded, 33, 41), planar);
+        let padded = layout.pack(&planar, 33, 41);
+        assert_eq!(layout.unpack(&padded, 33, 41), planar);
         assert_eq!(padded.iter().filter(|&&v| v != 0.0).count(), planar.len());
     }
 }

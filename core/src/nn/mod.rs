@@ -1,5 +1,5 @@
 //! The network: NAFNet encoder and decoder with a graph convolution over the photos' features, and the per-map adapters.
-#![allow(dead_code)]
+
 mod config;
 mod kernels;
 mod layout;

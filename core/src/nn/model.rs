@@ -11,7 +11,7 @@ use safetensors::{Dtype, SafeTensorError, View};
 
 use super::config::NetworkConfig;
 use super::layout::Layout;
-use super::network::{Decoder, Encoder, Trace};
+use super::network::{Decoder, Encoded, Encoder, Trace};
 use super::params::AdapterParams;
 use super::tape::{Param, Planes};
 use super::weights::{Reader, broken};
@@ -302,7 +302,7 @@ impl Code {
     /// photo rows and columns rounded up to multiples of 2^levels and divided by 2^level.
     pub fn skip(&self, level: usize) -> Option<Vec<f32>> {
         let planes = self.skips.get(level)?;
-        Some(planes.layout.to_planar(&planes.values(), planes.layout.height, planes.layout.width))
+        Some(planes.layout.unpack(&planes.values(), planes.layout.height, planes.layout.width))
     }
 }
 
@@ -322,9 +322,9 @@ impl DecoderTrace {
     pub fn pull_back(self, gradient: &[f32], control: &mut Control<'_>) -> Result<Vec<f32>> {
         let layout = self.trace.feature.layout;
         expect_len("gradient", gradient.len(), layout.channels * self.height * self.width)?;
-        let gradient = layout.from_planar(gradient, self.height, self.width);
+        let gradient = layout.pack(gradient, self.height, self.width);
         let latent = self.trace.pull_back(gradient, control)?;
-        Ok(self.layout.to_planar(&latent, self.layout.height, self.layout.width))
+        Ok(self.layout.unpack(&latent, self.layout.height, self.layout.width))
     }
 }
 
@@ -405,10 +405,10 @@ impl Network {
             height: height.next_multiple_of(unit),
             width: width.next_multiple_of(unit),
         };
-        let photos = Planes::constant(layout.from_planar(&photos.concat(), height, width), layout)?;
-        let (latent, skips) = self.encoder.run(photos, control)?;
+        let photos = Planes::constant(layout.pack(&photos.concat(), height, width), layout)?;
+        let Encoded { latent, skips } = self.encoder.run(photos, control)?;
         let layout = latent.layout;
-        let latent = layout.to_planar(&latent.values(), layout.height, layout.width);
+        let latent = layout.unpack(&latent.values(), layout.height, layout.width);
         Ok(Code { latent, layout, skips: skips.into_iter().map(Arc::new).collect(), height, width })
     }
 
@@ -418,7 +418,7 @@ impl Network {
     /// [`Error::ShapeMismatch`] if `latent` has not the length of `code`'s; [`Error::Cancelled`].
     pub fn decode(&self, latent: &[f32], code: &Code, control: &mut Control<'_>) -> Result<Vec<f32>> {
         let feature = self.decoder.run(self.start(latent, code)?, &skips(code), control)?;
-        Ok(feature.layout.to_planar(&feature.values(), code.height, code.width))
+        Ok(feature.layout.unpack(&feature.values(), code.height, code.width))
     }
 
     /// As [`Network::decode`], and what takes a gradient back to the latent code.
@@ -432,7 +432,7 @@ impl Network {
         control: &mut Control<'_>,
     ) -> Result<(Vec<f32>, DecoderTrace)> {
         let trace = self.decoder.run_traced(self.start(latent, code)?, &skips(code), control)?;
-        let feature = trace.feature.layout.to_planar(&trace.feature.values(), code.height, code.width);
+        let feature = trace.feature.layout.unpack(&trace.feature.values(), code.height, code.width);
         Ok((feature, DecoderTrace { trace, layout: code.layout, height: code.height, width: code.width }))
     }
 
@@ -441,10 +441,234 @@ impl Network {
         if code.layout.channels != self.config.latent_channels() || code.skips.len() != self.config.levels() {
             return Err(Error::invalid("code", "comes from another network"));
         }
-        Planes::constant(code.layout.from_planar(latent, code.layout.height, code.layout.width), code.layout)
+        Planes::constant(code.layout.pack(latent, code.layout.height, code.layout.width), code.layout)
     }
 }
 
 fn skips(code: &Code) -> Vec<Planes<f32>> {
     code.skips.iter().map(|skip| skip.branch()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ops::ControlFlow;
+
+    use super::{Model, NetworkConfig};
+    use crate::error::Error;
+    use crate::fit::progress::{CancelToken, Control, Progress};
+    use crate::maps::Lobe;
+    use crate::nn::config::Gcn;
+
+    fn small(photos: usize, gcn: Gcn) -> NetworkConfig {
+        NetworkConfig {
+            photos,
+            width: 4,
+            encoder_blocks: vec![1, 1],
+            middle_blocks: 1,
+            decoder_blocks: vec![1, 1],
+            gcn,
+            lobe: Lobe::Isotropic,
+            roughness_floor: -0.3,
+        }
+    }
+
+    fn model() -> Model {
+        Model::random(&[small(4, Gcn::Full), small(1, Gcn::None)], 7).unwrap()
+    }
+
+    fn saved(model: &Model) -> Vec<u8> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("weights.safetensors");
+        model.save(&path).unwrap();
+        std::fs::read(path).unwrap()
+    }
+
+    /// The file with its header changed by `edit`.
+    fn edited(file: &[u8], edit: impl FnOnce(&mut serde_json::Map<String, serde_json::Value>)) -> Vec<u8> {
+        let len = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
+        let mut header = serde_json::from_slice(&file[8..8 + len]).unwrap();
+        edit(&mut header);
+        let header = serde_json::to_vec(&header).unwrap();
+        [&(header.len() as u64).to_le_bytes()[..], &header, &file[8 + len..]].concat()
+    }
+
+    fn reason(file: &[u8]) -> String {
+        match Model::from_bytes(file) {
+            Err(Error::Weights { reason }) => reason,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn encode_and_decode(model: &Model, photos: usize, height: usize, width: usize) -> Vec<f32> {
+        let mut callback = |_: &Progress| ControlFlow::Continue(());
+        let mut control = Control::new(&mut callback, CancelToken::new());
+        let network = model.network(photos).unwrap();
+        let photo: Vec<f32> = (0..3 * height * width).map(|i| (i as f32 * 0.7).sin().abs()).collect();
+        let photos = vec![&photo[..]; network.config().photos];
+        let code = network.encode(&photos, height, width, &mut control).unwrap();
+        let feature = network.decode(&code.latent, &code, &mut control).unwrap();
+        let (traced, trace) = network.decode_traced(&code.latent, &code, &mut control).unwrap();
+        assert_eq!(feature, traced);
+        assert_eq!(trace.pull_back(&feature, &mut control).unwrap().len(), code.latent.len());
+        feature
+    }
+
+    #[test]
+    fn is_shared_between_threads() {
+        fn check<T: Send + Sync>() {}
+        check::<Model>();
+        check::<super::Code>();
+    }
+
+    #[test]
+    fn saved_and_loaded_again() {
+        let model = model();
+        let file = saved(&model);
+        let again = Model::from_bytes(&file).unwrap();
+        assert_eq!(again.license(), model.license());
+        // The header lists the metadata in any order.
+        let data = |file: &[u8]| file[8 + u64::from_le_bytes(*file.first_chunk().unwrap()) as usize..].to_vec();
+        assert!(data(&saved(&again)) == data(&file), "tensors changed");
+        assert_eq!(encode_and_decode(&again, 4, 8, 12), encode_and_decode(&model, 4, 8, 12));
+    }
+
+    #[test]
+    fn loads_only_what_a_fit_takes() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let model = Model::random(&[small(2, Gcn::Full), small(4, Gcn::Diagonal)], 7).unwrap();
+        model.save(file.path()).unwrap();
+        for (photos, expected) in [(2, 2), (3, 2), (4, 4), (9, 4)] {
+            let loaded = Model::load_for(file.path(), photos).unwrap();
+            assert_eq!(loaded.networks().len(), 1);
+            assert_eq!(loaded.networks()[0].config().photos, expected);
+            assert_eq!(encode_and_decode(&loaded, photos, 4, 4), encode_and_decode(&model, photos, 4, 4));
+        }
+        let message = Model::load_for(file.path(), 1).unwrap_err().to_string();
+        assert!(message.contains("needs 2, got 1"), "{message}");
+        assert!(matches!(Model::load("no such file"), Err(Error::Io { .. })));
+    }
+
+    #[test]
+    fn half_precision() {
+        let file = saved(&model());
+        let len = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
+        let mut header: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(&file[8..8 + len]).unwrap();
+        for (name, entry) in &mut header {
+            if name != "__metadata__" {
+                entry["dtype"] = "F16".into();
+                for offset in entry["data_offsets"].as_array_mut().unwrap() {
+                    *offset = (offset.as_u64().unwrap() / 2).into();
+                }
+            }
+        }
+        let header = serde_json::to_vec(&header).unwrap();
+        let floats = file[8 + len..].as_chunks().0.iter().map(|&value| f32::from_le_bytes(value));
+        let data: Vec<u8> = floats.flat_map(|value| half::f16::from_f32(value).to_le_bytes()).collect();
+        let loaded = Model::from_bytes(&[&(header.len() as u64).to_le_bytes()[..], &header, &data].concat()).unwrap();
+        let (got, expected) = (encode_and_decode(&loaded, 1, 4, 4), encode_and_decode(&model(), 1, 4, 4));
+        let off = got.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(off > 0.0 && off < 2e-2, "{off}");
+    }
+
+    #[test]
+    fn any_size_of_photo() {
+        for (height, width) in [(1, 1), (5, 7), (4, 9), (13, 4)] {
+            let feature = encode_and_decode(&model(), 4, height, width);
+            assert_eq!(feature.len(), 9 * height * width);
+            assert!(feature.iter().all(|value| value.is_finite()));
+        }
+    }
+
+    #[test]
+    fn wrong_photos_and_codes_are_errors() {
+        let model = model();
+        let mut callback = |_: &Progress| ControlFlow::Continue(());
+        let mut control = Control::new(&mut callback, CancelToken::new());
+        let (one, four) = (model.network(1).unwrap(), model.network(4).unwrap());
+        let photo = [0.5; 48];
+        let code = one.encode(&[&photo], 4, 4, &mut control).unwrap();
+        for (photos, height, width) in
+            [(vec![], 4, 4), (vec![&photo[..]; 2], 4, 4), (vec![&photo[..]], 4, 5), (vec![&[]], 0, 4)]
+        {
+            assert!(one.encode(&photos, height, width, &mut control).is_err());
+        }
+        assert!(one.encode(&[&photo], usize::MAX, usize::MAX, &mut control).is_err());
+        assert!(one.decode(&code.latent[1..], &code, &mut control).is_err());
+        assert!(four.decode(&code.latent, &code, &mut control).is_ok(), "same sizes");
+        let other = Model::random(&[NetworkConfig { width: 8, ..small(1, Gcn::None) }], 1).unwrap();
+        assert!(other.network(1).unwrap().decode(&code.latent, &code, &mut control).is_err());
+        let (_, trace) = one.decode_traced(&code.latent, &code, &mut control).unwrap();
+        assert!(trace.pull_back(&[0.0; 5], &mut control).is_err());
+        drop(control);
+        let mut stop = |_: &Progress| ControlFlow::Break(());
+        let mut control = Control::new(&mut stop, CancelToken::new());
+        assert!(matches!(one.decode(&code.latent, &code, &mut control), Err(Error::Cancelled)));
+        assert!(matches!(one.encode(&[&photo], 4, 4, &mut control), Err(Error::Cancelled)));
+    }
+
+    #[test]
+    fn other_conventions_are_refused() {
+        let file = saved(&model());
+        for key in ["format", "version", "brdf", "roughness", "color_space", "channels", "license", "networks"] {
+            let without = edited(&file, |header| {
+                header["__metadata__"].as_object_mut().unwrap().remove(key);
+            });
+            assert!(reason(&without).contains(key), "{key}");
+            if key != "license" {
+                let other = edited(&file, |header| header["__metadata__"][key] = "other".into());
+                assert!(reason(&other).contains(key), "{key}");
+            }
+        }
+    }
+
+    #[test]
+    fn damaged_files_are_refused() {
+        let file = saved(&model());
+        for len in (0..file.len()).step_by(101).chain([file.len() - 1]) {
+            reason(&file[..len]);
+        }
+        reason(&[&file[..], &[0]].concat());
+        reason(&u64::MAX.to_le_bytes());
+        reason(&[&(100u64 << 30).to_le_bytes()[..], b"{}"].concat());
+        let tensor = "photos4.encoder.conv0.bias";
+        assert!(
+            reason(&edited(&file, |header| {
+                let entry = header.remove(tensor).unwrap();
+                header.insert("surplus".into(), entry);
+            }))
+            .contains(tensor)
+        );
+        for (key, value) in [
+            ("dtype", serde_json::json!("I32")),
+            ("dtype", serde_json::json!("nonsense")),
+            ("shape", serde_json::json!([2])),
+            ("shape", serde_json::json!([1u64 << 40, 1u64 << 40])),
+            ("shape", serde_json::json!([-1])),
+            ("data_offsets", serde_json::json!([0, u64::MAX])),
+            ("data_offsets", serde_json::json!([4, 0])),
+        ] {
+            reason(&edited(&file, |header| header[tensor][key] = value));
+        }
+        let huge = NetworkConfig {
+            width: 1024,
+            encoder_blocks: vec![64; 6],
+            decoder_blocks: vec![64; 6],
+            ..small(4, Gcn::Full)
+        };
+        reason(&edited(&file, |header| {
+            header["__metadata__"]["networks"] = serde_json::to_string(&[huge]).unwrap().into();
+        }));
+        let mut infinite = file.clone();
+        let end = infinite.len();
+        infinite[end - 4..].copy_from_slice(&f32::INFINITY.to_le_bytes());
+        assert!(reason(&infinite).contains("inf"));
+    }
+
+    #[test]
+    fn two_networks_for_the_same_photos_are_refused() {
+        assert!(Model::random(&[small(1, Gcn::None), small(1, Gcn::Full)], 0).is_err());
+        assert!(Model::random(&[], 0).is_err());
+        let anisotropic = NetworkConfig { lobe: Lobe::Anisotropic, ..small(4, Gcn::Full) };
+        assert!(Model::random(&[small(1, Gcn::None), anisotropic], 0).is_err());
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dfdx::tensor::{Cpu, Tape};
+use dfdx::tensor::{Cpu, OwnedTape, Tape};
 
 use super::config::{Gcn, NetworkConfig};
 use super::nafnet::{Block, Layer, block};
@@ -19,7 +19,9 @@ fn layer<E: Scalar>(get: &mut Source<'_, E>, name: &str) -> Result<Layer<E>> {
     Ok(Layer { weight: get(&format!("{name}.weight"))?, bias: get(&format!("{name}.bias"))? })
 }
 
-fn blocks<E: Scalar>(get: &mut Source<'_, E>, name: &str, count: usize, channels: usize) -> Result<Vec<Arc<Block<E>>>> {
+type Blocks<E> = Vec<Arc<Block<E>>>;
+
+fn blocks<E: Scalar>(get: &mut Source<'_, E>, name: &str, count: usize, channels: usize) -> Result<Blocks<E>> {
     let one = |index| Ok(Arc::new(Block::new(channels, |tensor| get(&format!("{name}.{index}.{tensor}")))?));
     (0..count).map(one).collect()
 }
@@ -27,14 +29,33 @@ fn blocks<E: Scalar>(get: &mut Source<'_, E>, name: &str, count: usize, channels
 /// The first layers of the encoder.
 enum Intro<E: Scalar> {
     Plain(Layer<E>),
-    Graph { conv0: Layer<E>, graph: Graph<E> },
+    Graph { conv0: Layer<E>, graph: Box<Graph<E>> },
+}
+
+/// A level of the encoder: its blocks, then the way down.
+struct Descent<E: Scalar> {
+    blocks: Blocks<E>,
+    down: Layer<E>,
+}
+
+/// A level of the decoder: the way up, then its blocks.
+struct Ascent<E: Scalar> {
+    up: Param<E>,
+    blocks: Blocks<E>,
+}
+
+/// What the encoder makes of photos.
+pub(crate) struct Encoded<E: Scalar, T> {
+    pub latent: Planes<E, T>,
+    /// Finest first.
+    pub skips: Vec<Planes<E, T>>,
 }
 
 /// Photos to latent code and skips.
 pub(crate) struct Encoder<E: Scalar> {
     photos: usize,
     intro: Intro<E>,
-    levels: Vec<(Vec<Arc<Block<E>>>, Layer<E>)>,
+    levels: Vec<Descent<E>>,
 }
 
 impl<E: Scalar> Encoder<E> {
@@ -44,30 +65,26 @@ impl<E: Scalar> Encoder<E> {
             Gcn::None => Intro::Plain(layer(get, "encoder.intro")?),
             form => Intro::Graph {
                 conv0: layer(get, "encoder.conv0")?,
-                graph: Graph {
+                graph: Box::new(Graph {
                     query: layer(get, "encoder.conv_q1")?,
                     key: layer(get, "encoder.conv_k1")?,
                     feature: layer(get, "encoder.conv1")?,
                     adjacency: get("encoder.adj1")?,
                     lambda: get("encoder.lamda")?,
                     diagonal: form == Gcn::Diagonal,
-                },
+                }),
             },
         };
         let level = |(level, &count): (usize, &usize)| {
             let blocks = blocks(get, &format!("encoder.encoders.{level}"), count, config.channels(level))?;
-            Ok((blocks, layer(get, &format!("encoder.downs.{level}"))?))
+            Ok(Descent { blocks, down: layer(get, &format!("encoder.downs.{level}"))? })
         };
         let levels = config.encoder_blocks.iter().enumerate().map(level).collect::<Result<_>>()?;
         Ok(Self { photos: config.photos, intro, levels })
     }
 
-    /// The latent code of the photos, whose channels lie one photo after the other, and the skips, finest first.
-    pub fn run<T: Tape<E, Cpu>>(
-        &self,
-        photos: Planes<E, T>,
-        control: &mut Control<'_>,
-    ) -> Result<(Planes<E, T>, Vec<Planes<E, T>>)> {
+    /// Encodes photos whose channels lie one photo after the other.
+    pub fn run<T: Tape<E, Cpu>>(&self, photos: Planes<E, T>, control: &mut Control<'_>) -> Result<Encoded<E, T>> {
         let mut x = match &self.intro {
             Intro::Plain(intro) => conv3x3(photos, 1, &intro.weight, &intro.bias)?,
             Intro::Graph { conv0, graph } => {
@@ -77,7 +94,7 @@ impl<E: Scalar> Encoder<E> {
             }
         };
         let mut skips = Vec::with_capacity(self.levels.len());
-        for (blocks, down) in &self.levels {
+        for Descent { blocks, down } in &self.levels {
             for one in blocks {
                 control.poll()?;
                 x = block(x, one)?;
@@ -85,14 +102,14 @@ impl<E: Scalar> Encoder<E> {
             skips.push(x.branch());
             x = pointwise(pixel_unshuffle(x)?, &down.weight, Some(&down.bias))?;
         }
-        Ok((x, skips))
+        Ok(Encoded { latent: x, skips })
     }
 }
 
 /// Latent code and skips to material feature.
 pub(crate) struct Decoder<E: Scalar> {
     middle: Vec<Arc<Block<E>>>,
-    levels: Vec<(Param<E>, Vec<Arc<Block<E>>>)>,
+    levels: Vec<Ascent<E>>,
     ending: Layer<E>,
 }
 
@@ -123,14 +140,14 @@ impl<E: Scalar> Decoder<E> {
         let level = |(step, &count): (usize, &usize)| {
             let up = get(&format!("decoder.ups.{step}.0.weight"))?;
             let channels = config.channels(config.levels() - 1 - step);
-            Ok((up, blocks(get, &format!("decoder.decoders.{step}"), count, channels)?))
+            Ok(Ascent { up, blocks: blocks(get, &format!("decoder.decoders.{step}"), count, channels)? })
         };
         let levels = config.decoder_blocks.iter().enumerate().map(level).collect::<Result<_>>()?;
         Ok(Self { middle, levels, ending: layer(get, "decoder.ending")? })
     }
 
     fn parts(&self) -> impl Iterator<Item = Part<'_, E>> {
-        let levels = self.levels.iter().enumerate().flat_map(|(step, (up, blocks))| {
+        let levels = self.levels.iter().enumerate().flat_map(|(step, Ascent { up, blocks })| {
             std::iter::once(Part::Up(up, self.levels.len() - 1 - step)).chain(blocks.iter().map(Part::Block))
         });
         self.middle.iter().map(Part::Block).chain(levels).chain([Part::Ending(&self.ending)])
@@ -154,7 +171,7 @@ impl<E: Scalar> Decoder<E> {
             let traced = part.run(trace.feature.traced(), skips)?;
             let (out, tape) = traced.split();
             let input = std::mem::replace(&mut trace.feature, out.branch());
-            trace.parts.push((input, out.put(tape)));
+            trace.parts.push(Taped { input, output: out.put(tape) });
         }
         Ok(trace)
     }
@@ -165,14 +182,20 @@ impl<E: Scalar> Decoder<E> {
 pub(crate) struct Trace<E: Scalar> {
     /// The material feature.
     pub feature: Planes<E>,
-    parts: Vec<(Planes<E>, Planes<E, dfdx::tensor::OwnedTape<E, Cpu>>)>,
+    parts: Vec<Taped<E>>,
+}
+
+/// Input and output of a part; the output holds the part's tape.
+struct Taped<E: Scalar> {
+    input: Planes<E>,
+    output: Planes<E, OwnedTape<E, Cpu>>,
 }
 
 impl<E: Scalar> Trace<E> {
     /// The gradient with respect to the latent code, given that with respect to the material feature.
     pub fn pull_back(self, mut gradient: Vec<E>, control: &mut Control<'_>) -> Result<Vec<E>> {
         drop(self.feature);
-        for (input, output) in self.parts.into_iter().rev() {
+        for Taped { input, output } in self.parts.into_iter().rev() {
             control.poll()?;
             gradient = output.pull_back(gradient)?.of(&input)?;
         }
@@ -271,7 +294,7 @@ mod tests {
                 let encoder = Encoder::new(&config, &mut source(&config, params))?;
                 let mut callback = |_: &Progress| ControlFlow::Continue(());
                 let mut control = Control::new(&mut callback, CancelToken::new());
-                Ok(encoder.run(x, &mut control)?.0)
+                Ok(encoder.run(x, &mut control)?.latent)
             });
         }
     }

@@ -4,8 +4,11 @@ use std::ops::Range;
 
 use crate::error::{Error, Result};
 
+/// Shape of a tensor of a block, given the block's channels.
+type ShapeOf = fn(usize) -> [usize; 4];
+
 /// Tensors of a NAFNet block on `m` channels, in the order of [`AdapterParams::values`]: name, shape.
-const BLOCK: [(&str, fn(usize) -> [usize; 4]); 18] = [
+const BLOCK: [(&str, ShapeOf); 18] = [
     ("norm1.weight", |m| [m, 1, 1, 1]),
     ("norm1.bias", |m| [m, 1, 1, 1]),
     ("conv1.weight", |m| [2 * m, m, 1, 1]),

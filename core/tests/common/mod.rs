@@ -21,3 +21,41 @@ pub fn shared(path: &str) -> Option<PathBuf> {
 pub fn fixture(path: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures").join(path)
 }
+
+/// A safetensors file of expected values.
+#[allow(dead_code)]
+pub struct Expected(Vec<u8>);
+
+#[allow(dead_code)]
+impl Expected {
+    /// Reads the file.
+    pub fn open(path: &std::path::Path) -> Self {
+        Self(std::fs::read(path).unwrap())
+    }
+
+    /// The values of tensor `name`.
+    pub fn f64(&self, name: &str) -> Vec<f64> {
+        let file = safetensors::SafeTensors::deserialize(&self.0).unwrap();
+        let tensor = file.tensor(name).unwrap_or_else(|error| panic!("{name}: {error}"));
+        match tensor.dtype() {
+            safetensors::Dtype::F64 => tensor.data().as_chunks().0.iter().map(|&v| f64::from_le_bytes(v)).collect(),
+            safetensors::Dtype::F32 => {
+                tensor.data().as_chunks().0.iter().map(|&v| f32::from_le_bytes(v).into()).collect()
+            }
+            other => panic!("{name}: {other}"),
+        }
+    }
+
+    /// Likewise, rounded.
+    pub fn f32(&self, name: &str) -> Vec<f32> {
+        self.f64(name).into_iter().map(|value| value as f32).collect()
+    }
+}
+
+/// Length of the difference over length of `expected`.
+#[allow(dead_code)]
+pub fn relative_l2(got: &[f32], expected: &[f64]) -> f64 {
+    assert_eq!(got.len(), expected.len());
+    let off: f64 = got.iter().zip(expected).map(|(&got, expected)| (f64::from(got) - expected).powi(2)).sum();
+    (off / expected.iter().map(|value| value * value).sum::<f64>()).sqrt()
+}

@@ -62,7 +62,7 @@ pub(crate) fn conv3x3<E: Scalar, T: Tape<E, Cpu>>(
     bias: &Param<E>,
 ) -> Result<Planes<E, T>> {
     let layout = x.layout;
-    if images == 0 || layout.channels % images != 0 {
+    if images == 0 || !layout.channels.is_multiple_of(images) {
         return Err(Error::shape("conv3x3", format!("channels of {images} images"), layout.channels.to_string()));
     }
     let channels = layout.channels / images;
@@ -172,10 +172,10 @@ mod tests {
     fn values_are_those_of_the_definition() {
         let layout = Layout { channels: 3, height: 20, width: 40 };
         let (x, weight, bias) = (numbers(layout.len(), 1), numbers(2 * 3 * 9, 2), numbers(2, 3));
-        let planes = Planes::constant(layout.from_planar(&x, 20, 40), layout).unwrap();
+        let planes = Planes::constant(layout.pack(&x, 20, 40), layout).unwrap();
         let params = [&weight, &bias].map(|values| Param::constant(values.clone().into()));
         let out = conv3x3(planes, 1, &params[0], &params[1]).unwrap();
-        let out = out.layout.to_planar(&out.values(), 20, 40);
+        let out = out.layout.unpack(&out.values(), 20, 40);
         for o in 0..2 {
             for i in 0..20isize {
                 for j in 0..40isize {

@@ -14,7 +14,7 @@ use crate::nn::tape::{Planes, record};
 /// Chen et al., "Simple Baselines for Image Restoration", ECCV 2022, eq. 4.
 pub(crate) fn simple_gate<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>) -> Result<Planes<E, T>> {
     let layout = x.layout;
-    if layout.channels % 2 != 0 {
+    if !layout.channels.is_multiple_of(2) {
         return Err(Error::shape("gate", "an even number of channels", layout.channels.to_string()));
     }
     let to = layout.with_channels(layout.channels / 2);

@@ -18,7 +18,7 @@ pub(crate) fn pixel_shuffle<E: Scalar, T: Tape<E, Cpu>>(
     skip: Option<Planes<E, T>>,
 ) -> Result<Planes<E, T>> {
     let from = x.layout;
-    if from.channels % 4 != 0 {
+    if !from.channels.is_multiple_of(4) {
         return Err(Error::shape("pixel shuffle", "a multiple of 4 channels", from.channels.to_string()));
     }
     let to = Layout { channels: from.channels / 4, height: 2 * from.height, width: 2 * from.width };
@@ -46,7 +46,7 @@ pub(crate) fn pixel_shuffle<E: Scalar, T: Tape<E, Cpu>>(
 /// The inverse of [`pixel_shuffle`]: (C, 2H, 2W) -> (4C, H, W).
 pub(crate) fn pixel_unshuffle<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>) -> Result<Planes<E, T>> {
     let from = x.layout;
-    if from.height % 2 != 0 || from.width % 2 != 0 {
+    if !from.height.is_multiple_of(2) || !from.width.is_multiple_of(2) {
         return Err(Error::shape("pixel unshuffle", "even sides", format!("{} x {}", from.height, from.width)));
     }
     let to = Layout { channels: 4 * from.channels, height: from.height / 2, width: from.width / 2 };
@@ -100,7 +100,7 @@ mod tests {
         let layout = Layout { channels: 4, height: 1, width: 2 };
         let x = Planes::constant(vec![0.0f32, 1.0, 10.0, 11.0, 20.0, 21.0, 30.0, 31.0], layout).unwrap();
         let out = pixel_shuffle(x, None).unwrap();
-        assert_eq!(out.layout.to_planar(&out.values(), 2, 4), [0.0, 10.0, 1.0, 11.0, 20.0, 30.0, 21.0, 31.0]);
+        assert_eq!(out.layout.unpack(&out.values(), 2, 4), [0.0, 10.0, 1.0, 11.0, 20.0, 30.0, 21.0, 31.0]);
     }
 
     #[test]

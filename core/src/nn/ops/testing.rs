@@ -64,8 +64,8 @@ pub(crate) fn check(layout: Layout, params: &[usize], operation: impl Fn(Traced,
         };
         (4.0 * difference(STEP) - difference(2.0 * STEP)) / 3.0
     };
-    // Some two hundred places, the corners among them.
-    let places = |len: usize| (0..len).step_by(len.div_ceil(200)).chain([len - 1]);
+    // Some places, the corners among them.
+    let places = |len: usize| (0..len).step_by(len.div_ceil(60)).chain([len - 1]);
     let scale = |values: &[f64]| values.iter().fold(0.0, |a: f64, v| a.max(v.abs())).max(1e-3);
     for i in places(x.len()) {
         let expected = slope(i, &x, &|x| loss(x, &params));
