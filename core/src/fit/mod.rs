@@ -1,7 +1,117 @@
-//! From photos to maps.
+//! From photos to maps: the feature-embedded optimisation of the paper (Section 3.3), and the fit without a network.
 
 pub mod adam;
 mod cluster;
 pub mod descent;
+mod direct;
+mod memory;
 pub mod options;
 pub mod progress;
+pub mod report;
+
+use std::ops::ControlFlow;
+use std::sync::mpsc;
+use std::time::Instant;
+
+use crate::capture::Capture;
+use crate::error::{Error, Result};
+use crate::material::Material;
+use crate::metrics::photo_rmse;
+use crate::render::{Target, render};
+use options::{FitOptions, Method};
+use progress::{CancelToken, Control, Progress, ProgressFn, Stage};
+use report::{FitReport, StageReport};
+
+/// A fitted material and how it came about.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// The maps.
+    pub material: Material,
+    /// Stages, losses, timings, warnings.
+    pub report: FitReport,
+}
+
+/// Recovers the material that the photos of `capture` show.
+///
+/// `model` may be `None`: [`Method::Auto`] then means [`Method::Direct`]. `progress` is called at least after every step and stops the
+/// run when it breaks.
+///
+/// # Errors
+/// [`Error::InvalidArgument`] for options out of range or a model that cannot take this many photos; [`Error::OutOfMemory`] before
+/// anything is computed; [`Error::Cancelled`]; [`Error::NonFinite`] if the loss is not finite from the start.
+pub fn fit_material(capture: &Capture, options: &FitOptions, progress: &mut ProgressFn<'_>) -> Result<Fit> {
+    let started = Instant::now();
+    let pool = pool(options.threads)?;
+    memory::check(direct::memory(capture), options.max_memory)?;
+    on_pool(&pool, options.cancel.clone(), progress, |control| {
+        let targets = capture.photos().iter().map(Target::from_photo).collect::<Result<Vec<_>>>()?;
+        let mut stages = Vec::new();
+        let maps = {
+            let begun = Instant::now();
+            let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
+            let (maps, descent) = direct::fit_direct(capture, &targets, steps, options.seed, control)?;
+            stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
+            maps
+        };
+        let material = Material::from_maps(&maps, capture.patch_size())?;
+        let photo_errors = capture
+            .photos()
+            .iter()
+            .map(|photo| photo_rmse(&render(&material, &photo.shot)?, &photo.image))
+            .collect::<Result<Vec<_>>>()?;
+        let report = FitReport {
+            method: Method::Direct,
+            preset: options.preset,
+            seed: options.seed,
+            threads: rayon::current_num_threads(),
+            photos: capture.photos().iter().map(|photo| photo.name.clone()).collect(),
+            stages,
+            photo_errors,
+            seconds: started.elapsed().as_secs_f64(),
+            warnings: capture.warnings().to_vec(),
+        };
+        Ok(Fit { material, report })
+    })
+}
+
+/// Runs `work` on the threads of `pool` while the calling thread serves its progress: callbacks of hosts are bound to the thread they
+/// come from.
+fn on_pool<T: Send>(
+    pool: &rayon::ThreadPool,
+    cancel: CancelToken,
+    progress: &mut ProgressFn<'_>,
+    work: impl FnOnce(&mut Control<'_>) -> Result<T> + Send,
+) -> Result<T> {
+    let (reports, reported) = mpsc::sync_channel::<Progress>(0);
+    let (answers, answered) = mpsc::sync_channel::<ControlFlow<()>>(0);
+    std::thread::scope(|scope| {
+        let worker = scope.spawn(move || {
+            pool.install(move || {
+                // A caller that is gone (its callback panicked) wants nothing more.
+                let mut ask = |progress: &Progress| match reports.send(*progress) {
+                    Ok(()) => answered.recv().unwrap_or(ControlFlow::Break(())),
+                    Err(_) => ControlFlow::Break(()),
+                };
+                work(&mut Control::new(&mut ask, cancel))
+            })
+        });
+        while let Ok(report) = reported.recv() {
+            if answers.send(progress(&report)).is_err() {
+                break;
+            }
+        }
+        // A panic in the work goes on in the caller, whose guard expects it there.
+        worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    })
+}
+
+/// A pool of its own for each fit, so that the host's global one stays as it is.
+fn pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
+    if threads == Some(0) {
+        return Err(Error::invalid("threads", "expected at least 1, got 0"));
+    }
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.unwrap_or(0))
+        .build()
+        .map_err(|error| Error::invalid("threads", format!("{threads:?} threads cannot be started: {error}")))
+}

@@ -1,0 +1,52 @@
+# Everything a person or the continuous integration runs.
+
+CARGO ?= cargo
+PYTHON ?= python3
+VENV := .venv
+BIN := target/release/svbrdf-gcn
+
+.PHONY: help build demo test setup lint unit docs-test python-test bench fuzz sample clean
+
+help: ## this list
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
+
+build: ## the release build
+	$(CARGO) build --release --locked
+
+demo: build ## fit the sample capture and show where the pictures are
+	@$(BIN) fit samples/tiles --views 0,1,2,3,4,5,6 -o out/demo
+	@$(BIN) evaluate out/demo samples/tiles --views 7,8 --truth samples/tiles/truth
+	@echo "Look at out/demo/preview.png"
+
+test: setup lint unit docs-test python-test ## set up what the tests need, and run them all, cheapest first
+
+setup: ## Python packages in .venv
+	@tools/setup.sh
+
+lint: ## formatting, clippy, documentation
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --locked
+
+unit: ## Rust tests
+	$(CARGO) check -p svbrdf-gcn --no-default-features --locked
+	$(CARGO) test --workspace --all-targets --locked
+
+docs-test: ## the examples in the documentation
+	$(CARGO) test --workspace --doc --locked
+
+python-test: ## Python tools
+	$(VENV)/bin/python -m pytest -q tests/python
+
+bench: ## benchmarks; figures are in docs/performance.md
+	$(CARGO) bench -p svbrdf-gcn
+
+fuzz: ## a minute on each reader (needs cargo-fuzz)
+	cd fuzz && for target in $$($(CARGO) fuzz list); do RUSTC_BOOTSTRAP=1 $(CARGO) fuzz run $$target -- -max_total_time=60 -rss_limit_mb=2048 || exit 1; done
+
+sample: ## path-trace the sample captures again (installs Blender's Python module)
+	$(VENV)/bin/pip install --quiet bpy==5.0.1
+	$(VENV)/bin/python python/tools/make_sample.py samples
+
+clean: ## remove what was built
+	rm -rf target out $(VENV)

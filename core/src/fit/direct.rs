@@ -1,0 +1,355 @@
+//! The fit without a network: the maps themselves are optimised against the photos, under priors that a nearly flat surface made of
+//! few materials suggests.
+//!
+//! A handful of photos does not determine nine unknowns per pixel: fitted freely, every pixel explains its own photos and fails on new
+//! ones. What holds the fit together is that pixels of one colour are mostly one material. Specular albedo and roughness of a pixel are
+//! therefore those of its colour group plus a small deviation of its own, normals are a common tilt plus a small slope of their own, and
+//! only the diffuse albedo is (nearly) free. The sum of squared photo residuals and of these Gaussian priors is minimised by Adam.
+//! Where the photos say nothing (unlit, saturated), a parameter falls back to its group's.
+//!
+//! Not from the paper.
+
+use rayon::prelude::*;
+
+use crate::capture::{Capture, Photo};
+use crate::color::Transfer;
+use crate::error::Result;
+use crate::fit::cluster::soft_groups;
+use crate::fit::descent::{Descent, Settings, descend};
+use crate::fit::progress::{Control, Stage};
+use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
+use crate::render::{Target, photo_loss};
+
+/// Colour groups.
+const GROUPS: usize = 16;
+/// Standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
+const PHOTO_DEVIATION: f64 = 0.1;
+/// Standard deviation of a pixel's slope (tangent of the angle) from the common tilt.
+const SLOPE_DEVIATION: f64 = 0.02;
+/// Standard deviation of the common tilt, as a slope: a few degrees.
+const TILT_DEVIATION: f64 = 0.1;
+/// Standard deviation of a pixel's specular albedo and roughness from its group's, in logits.
+const OWN_DEVIATION: f64 = 0.2;
+/// Standard deviation of a pixel's diffuse albedo from its start, in logits: weak, decides only where no photo does.
+const DIFFUSE_DEVIATION: f64 = 5.0;
+/// Where a group's specular albedo starts and what it returns to without evidence: a dielectric's 4 %, in logits.
+const SPECULAR_LOGIT: f32 = -3.178;
+/// Likewise for its roughness: 0.5.
+const ROUGHNESS_LOGIT: f32 = 0.0;
+/// Standard deviation of a group's values from these, in logits.
+const GROUP_DEVIATION: f64 = 2.0;
+/// The prior of a group counts as if this share of its pixels spoke for it.
+const GROUP_EVIDENCE: f64 = 0.002;
+/// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
+const ROUGHNESS_MIN: f32 = 0.02;
+/// Adam's step length in the logits and slopes of pixels.
+const LEARNING_RATE: f64 = 0.03;
+/// Steps of group values are longer by this factor, and those of the common tilt shorter.
+const GROUP_STEP: f32 = 2.0;
+const TILT_STEP: f32 = 1.0 / 3.0;
+
+/// Fits isotropic maps to all photos of `capture`.
+///
+/// # Errors
+/// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the photos' loss is not finite at the start.
+pub(crate) fn fit_direct(
+    capture: &Capture,
+    targets: &[Target],
+    steps: usize,
+    seed: u64,
+    control: &mut Control<'_>,
+) -> Result<(Maps<f32>, Descent)> {
+    control.report(Stage::Direct, 0, steps, None)?;
+    let problem = Problem::new(capture, targets, seed)?;
+    let mut params = problem.start();
+    let settings =
+        Settings { stage: Stage::Direct, steps, learning_rate: LEARNING_RATE, final_rate: 0.02, early_stop: None };
+    let mut maps = problem.empty_maps()?;
+    let mut slopes = problem.empty_maps()?;
+    let descent = descend(&mut params, &settings, control, |params, gradient, _| {
+        problem.decode(params, &mut maps);
+        let Some(gradient) = gradient else {
+            return Ok(problem.photo_loss(&maps, None)? + problem.prior(params, None));
+        };
+        let loss = problem.photo_loss(&maps, Some(&mut slopes))?;
+        problem.chain(&maps, &slopes, gradient);
+        Ok(loss + problem.prior(params, Some(gradient)))
+    })?;
+    problem.decode(&params, &mut maps);
+    Ok((maps, descent))
+}
+
+/// Estimated bytes of a fit without a network.
+pub(crate) fn memory(capture: &Capture) -> u64 {
+    let pixels = (capture.width() * capture.height()) as u64;
+    // Encoded photo and saturation of each; seven parameters per pixel with gradient, best state and Adam's two moments; maps and
+    // their gradient with the logits' on the way; group weights; the start.
+    let photos = capture.len() as u64 * (3 * 4 + 1);
+    pixels * (photos + 7 * 5 * 4 + 3 * 10 * 4 + 2 * GROUPS as u64 * 4 + 2 * 3 * 4)
+}
+
+/// Where each kind of parameter lies in the flat vector that Adam moves.
+#[derive(Clone, Copy)]
+struct Layout {
+    pixels: usize,
+    groups: usize,
+}
+
+impl Layout {
+    const fn slope(self) -> usize {
+        3 * self.pixels
+    }
+    const fn specular_own(self) -> usize {
+        5 * self.pixels
+    }
+    const fn roughness_own(self) -> usize {
+        6 * self.pixels
+    }
+    const fn specular_group(self) -> usize {
+        7 * self.pixels
+    }
+    const fn roughness_group(self) -> usize {
+        self.specular_group() + 3 * self.groups
+    }
+    const fn tilt(self) -> usize {
+        self.roughness_group() + self.groups
+    }
+    const fn len(self) -> usize {
+        self.tilt() + 2
+    }
+}
+
+struct Problem<'a> {
+    targets: &'a [Target],
+    patch_size: f64,
+    width: usize,
+    height: usize,
+    layout: Layout,
+    /// One plane of weights per group.
+    weights: Vec<Vec<f32>>,
+    /// Logits of the diffuse albedo at the start, three planes.
+    diffuse: Vec<f32>,
+}
+
+impl<'a> Problem<'a> {
+    fn new(capture: &Capture, targets: &'a [Target], seed: u64) -> Result<Self> {
+        let (width, height) = (capture.width(), capture.height());
+        let pixels = width * height;
+        let albedo = diffuse_start(capture);
+        let encoded: Vec<f32> = albedo.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
+        let weights = soft_groups(&encoded, pixels, GROUPS, seed);
+        let diffuse = albedo.iter().map(|&value| logit(0.9 * value + 0.005)).collect();
+        let layout = Layout { pixels, groups: weights.len() };
+        Ok(Self { targets, patch_size: capture.patch_size(), width, height, layout, weights, diffuse })
+    }
+
+    fn start(&self) -> Vec<f32> {
+        let layout = self.layout;
+        let mut params = vec![0.0; layout.len()];
+        params[..layout.slope()].copy_from_slice(&self.diffuse);
+        params[layout.specular_group()..layout.roughness_group()].fill(SPECULAR_LOGIT / GROUP_STEP);
+        params[layout.roughness_group()..layout.tilt()].fill(ROUGHNESS_LOGIT / GROUP_STEP);
+        params
+    }
+
+    fn empty_maps(&self) -> Result<Maps<f32>> {
+        let lobe = Lobe::Isotropic;
+        Maps::new(lobe, self.width, self.height, vec![0.0; lobe.planes() * self.layout.pixels])
+    }
+
+    fn photo_loss(&self, maps: &Maps<f32>, gradient: Option<&mut Maps<f32>>) -> Result<f64> {
+        photo_loss(maps, self.patch_size, self.targets, gradient)
+    }
+
+    /// Group value of a quantity at every pixel, plus the pixel's own deviation.
+    fn mixed_logits(&self, values: &[f32], own: &[f32]) -> Vec<f32> {
+        let mut mixed = own.to_vec();
+        for (weights, &value) in self.weights.iter().zip(values) {
+            for (mixed, weight) in mixed.iter_mut().zip(weights) {
+                *mixed += weight * value * GROUP_STEP;
+            }
+        }
+        mixed
+    }
+
+    /// Parameters to maps. Normals are left as (slope x, slope y, 1).
+    fn decode(&self, params: &[f32], maps: &mut Maps<f32>) {
+        let layout = self.layout;
+        let n = layout.pixels;
+        let tilt = [params[layout.tilt()] * TILT_STEP, params[layout.tilt() + 1] * TILT_STEP];
+        let specular_plane = maps.lobe().specular_plane();
+        maps.data_mut().par_chunks_mut(n).enumerate().for_each(|(plane, out)| {
+            if plane < NORMAL_PLANE {
+                let logits = &params[(plane - DIFFUSE_PLANE) * n..][..n];
+                out.iter_mut().zip(logits).for_each(|(out, &x)| *out = sigmoid(x));
+            } else if plane < NORMAL_PLANE + 2 {
+                let c = plane - NORMAL_PLANE;
+                let slopes = &params[layout.slope() + c * n..][..n];
+                out.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope + tilt[c]);
+            } else if plane < ROUGHNESS_PLANE {
+                out.fill(1.0);
+            } else if plane < specular_plane {
+                let groups = &params[layout.roughness_group()..layout.tilt()];
+                let logits = self.mixed_logits(groups, &params[layout.roughness_own()..layout.specular_group()]);
+                out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x).max(ROUGHNESS_MIN));
+            } else {
+                let groups =
+                    &params[layout.specular_group() + (plane - specular_plane) * layout.groups..][..layout.groups];
+                let logits = self.mixed_logits(groups, &params[layout.specular_own()..layout.roughness_own()]);
+                out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x));
+            }
+        });
+    }
+
+    /// From the gradient with respect to the maps to that with respect to the parameters, which it overwrites.
+    fn chain(&self, maps: &Maps<f32>, slopes: &Maps<f32>, gradient: &mut [f32]) {
+        let layout = self.layout;
+        let n = layout.pixels;
+        let specular_plane = maps.lobe().specular_plane();
+        // d loss / d logit of every plane that is a sigmoid.
+        let logit_gradient = |plane: usize| -> Vec<f32> {
+            let (values, slopes) = (maps.plane(plane), slopes.plane(plane));
+            values.iter().zip(slopes).map(|(&value, &slope)| slope * value * (1.0 - value)).collect()
+        };
+        let planes: Vec<usize> = (DIFFUSE_PLANE..DIFFUSE_PLANE + 3)
+            .chain([ROUGHNESS_PLANE])
+            .chain(specular_plane..specular_plane + 3)
+            .collect();
+        let logits: Vec<Vec<f32>> = planes.into_par_iter().map(logit_gradient).collect();
+        let (diffuse, rest) = logits.split_at(3);
+        let (roughness, specular) = (&rest[0], &rest[1..]);
+
+        for (c, values) in diffuse.iter().enumerate() {
+            gradient[c * n..(c + 1) * n].copy_from_slice(values);
+        }
+        for c in 0..2 {
+            let values = slopes.plane(NORMAL_PLANE + c);
+            gradient[layout.slope() + c * n..][..n].copy_from_slice(values);
+            gradient[layout.tilt() + c] = sum(values.iter().copied()) * TILT_STEP;
+        }
+        let own = &mut gradient[layout.specular_own()..layout.roughness_own()];
+        for (p, own) in own.iter_mut().enumerate() {
+            *own = specular[0][p] + specular[1][p] + specular[2][p];
+        }
+        gradient[layout.roughness_own()..layout.specular_group()].copy_from_slice(roughness);
+        let group = |k: usize, values: &[f32]| {
+            sum(self.weights[k].iter().zip(values).map(|(weight, value)| weight * value)) * GROUP_STEP
+        };
+        let groups = layout.groups;
+        let shared: Vec<f32> = (0..4 * groups)
+            .into_par_iter()
+            .map(|i| group(i % groups, if i < 3 * groups { &specular[i / groups] } else { roughness }))
+            .collect();
+        gradient[layout.specular_group()..layout.tilt()].copy_from_slice(&shared);
+    }
+
+    /// Minus the logarithm of the priors in the units of the photo loss, whose gradient is added to `gradient`.
+    fn prior(&self, params: &[f32], mut gradient: Option<&mut [f32]>) -> f64 {
+        let layout = self.layout;
+        let n = layout.pixels;
+        // photo_loss is 1000 times a mean of squares; as a negative log likelihood it would be their sum over 2 sigma^2.
+        let residuals = (self.targets.len() * 3 * n) as f64;
+        let unit = 1000.0 * 2.0 * PHOTO_DEVIATION * PHOTO_DEVIATION / residuals;
+        let group_unit = GROUP_EVIDENCE * unit * n as f64 / layout.groups as f64 / GROUP_DEVIATION.powi(2);
+        let (specular, roughness) = (Mean::All(SPECULAR_LOGIT / GROUP_STEP), Mean::All(ROUGHNESS_LOGIT / GROUP_STEP));
+        // (range, where it is pulled to, step factor, weight)
+        let terms = [
+            (0..layout.slope(), Mean::Each(&self.diffuse), 1.0, unit / DIFFUSE_DEVIATION.powi(2)),
+            (layout.slope()..layout.specular_own(), Mean::All(0.0), 1.0, unit / SLOPE_DEVIATION.powi(2)),
+            (layout.specular_own()..layout.specular_group(), Mean::All(0.0), 1.0, unit / OWN_DEVIATION.powi(2)),
+            (layout.specular_group()..layout.roughness_group(), specular, GROUP_STEP, group_unit),
+            (layout.roughness_group()..layout.tilt(), roughness, GROUP_STEP, group_unit),
+            (layout.tilt()..layout.len(), Mean::All(0.0), TILT_STEP, unit / TILT_DEVIATION.powi(2)),
+        ];
+        let mut total = 0.0;
+        for (range, mean, step, weight) in terms {
+            let weight = weight * f64::from(step * step);
+            let values = &params[range.clone()];
+            let off = |i: usize, value: f32| value - mean.at(i);
+            total += 0.5 * weight * values.iter().enumerate().map(|(i, &v)| f64::from(off(i, v)).powi(2)).sum::<f64>();
+            if let Some(gradient) = gradient.as_deref_mut() {
+                for (i, (slope, &value)) in gradient[range].iter_mut().zip(values).enumerate() {
+                    *slope += weight as f32 * off(i, value);
+                }
+            }
+        }
+        total
+    }
+}
+
+/// What a prior pulls to.
+enum Mean<'a> {
+    All(f32),
+    Each(&'a [f32]),
+}
+
+impl Mean<'_> {
+    fn at(&self, i: usize) -> f32 {
+        match self {
+            Self::All(value) => *value,
+            Self::Each(values) => values[i],
+        }
+    }
+}
+
+/// A first diffuse albedo, three planes: each photo divided by the irradiance of a flat surface, and of these the mean over the darker
+/// ones, which highlights reach least.
+fn diffuse_start(capture: &Capture) -> Vec<f32> {
+    let (width, height) = (capture.width(), capture.height());
+    let pixels = width * height;
+    let photos = capture.photos();
+    let darker = (photos.len() / 2).max(2).saturating_sub(1).clamp(1, photos.len());
+    let pitch = capture.patch_size() / width as f64;
+    let position = |row: usize, column: usize| {
+        [(column as f64 + 0.5 - width as f64 / 2.0) * pitch, (height as f64 / 2.0 - row as f64 - 0.5) * pitch]
+    };
+    let mut albedo = vec![0.0; 3 * pixels];
+    let rows: Vec<Vec<[f32; 3]>> = (0..height)
+        .into_par_iter()
+        .map(|row| {
+            (0..width)
+                .map(|column| {
+                    let mut values: [Vec<f32>; 3] = Default::default();
+                    for photo in photos {
+                        let seen = flat_albedo(photo, position(row, column), row * width + column);
+                        values.iter_mut().zip(seen).for_each(|(values, seen)| values.push(seen));
+                    }
+                    values.map(|mut values| {
+                        values.sort_by(f32::total_cmp);
+                        (sum(values[..darker].iter().copied()) / darker as f32).clamp(1e-3, 0.95)
+                    })
+                })
+                .collect()
+        })
+        .collect();
+    for (p, color) in rows.into_iter().flatten().enumerate() {
+        color.into_iter().enumerate().for_each(|(c, value)| albedo[c * pixels + p] = value);
+    }
+    albedo
+}
+
+/// The albedo a flat Lambertian surface would need for what `photo` shows at `pixel`.
+fn flat_albedo(photo: &Photo, position: [f64; 2], pixel: usize) -> [f32; 3] {
+    let to_light = [photo.shot.light[0] - position[0], photo.shot.light[1] - position[1], photo.shot.light[2]];
+    let distance2: f64 = to_light.iter().map(|x| x * x).sum();
+    let n_dot_l = to_light[2] / distance2.sqrt();
+    let seen = &photo.image.data()[3 * pixel..3 * pixel + 3];
+    [0, 1, 2].map(|c| {
+        let irradiance = photo.shot.light_intensity[c] * n_dot_l / distance2;
+        // An unlit channel says nothing: grey.
+        if irradiance > 0.0 { (f64::from(seen[c]) * std::f64::consts::PI / irradiance) as f32 } else { 0.5 }
+    })
+}
+
+fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+fn logit(x: f32) -> f32 {
+    (x / (1.0 - x)).ln()
+}
+
+/// Sum in f64, in order.
+fn sum(values: impl Iterator<Item = f32>) -> f32 {
+    values.map(f64::from).sum::<f64>() as f32
+}

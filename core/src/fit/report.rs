@@ -1,0 +1,65 @@
+//! What a fit did, for `material.json` and for the caller.
+
+use serde::Serialize;
+
+use crate::fit::descent::Descent;
+use crate::fit::options::{Method, Preset};
+use crate::fit::progress::Stage;
+
+/// What one stage did.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct StageReport {
+    /// The stage.
+    pub stage: Stage,
+    /// Steps taken.
+    pub steps: usize,
+    /// Loss before the first step: 1000 times the mean squared error of the gamma 2.2 encoded photos, plus the priors of the stage.
+    pub first_loss: f64,
+    /// Loss of the state that was kept.
+    pub best_loss: f64,
+    /// How often a value was not finite and the stage went back to its best state with smaller steps.
+    pub rollbacks: usize,
+    /// Whether it stopped because the loss had flattened.
+    pub stopped_early: bool,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+impl StageReport {
+    pub(crate) fn new(stage: Stage, descent: &Descent, seconds: f64) -> Self {
+        Self {
+            stage,
+            steps: descent.steps(),
+            first_loss: descent.losses.first().copied().unwrap_or(f64::NAN),
+            best_loss: descent.best_loss,
+            rollbacks: descent.rollbacks,
+            stopped_early: descent.stopped_early,
+            seconds,
+        }
+    }
+}
+
+/// What a fit did and with which settings.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct FitReport {
+    /// [`Method::Network`] or [`Method::Direct`], whichever ran.
+    pub method: Method,
+    /// The preset asked for.
+    pub preset: Preset,
+    /// The seed.
+    pub seed: u64,
+    /// Threads used.
+    pub threads: usize,
+    /// Names of the photos used.
+    pub photos: Vec<String>,
+    /// The stages that ran, in order.
+    pub stages: Vec<StageReport>,
+    /// Error of each photo re-rendered: RMSE of gamma 2.2 encoded values, clamped to [0, 1].
+    pub photo_errors: Vec<f64>,
+    /// Wall-clock seconds of the whole fit.
+    pub seconds: f64,
+    /// What the user should know, the capture's own warnings first.
+    pub warnings: Vec<String>,
+}

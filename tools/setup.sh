@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# Installs what the tests need: Debian packages where that is allowed, Python packages in .venv.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+# The commands that come from Debian packages, and the packages.
+declare -A packages=([cc]=build-essential [python3]=python3 [pkg-config]=pkg-config)
+missing=()
+for command in "${!packages[@]}"; do
+    command -v "$command" >/dev/null || missing+=("${packages[$command]}")
+done
+python3 -c 'import venv, ensurepip' 2>/dev/null || missing+=(python3-venv)
+if [ ${#missing[@]} -gt 0 ]; then
+    if [ "$(id -u)" = 0 ] || [ "${CI:-}" = true ]; then
+        sudo=""
+        [ "$(id -u)" = 0 ] || sudo="sudo -n"
+        $sudo apt-get update -qq
+        $sudo apt-get install -y -qq "${missing[@]}"
+    else
+        echo "Missing packages; install them with: sudo apt-get install ${missing[*]}" >&2
+        exit 1
+    fi
+fi
+
+stamp=.venv/requirements.txt
+if ! cmp -s tests/python/requirements.txt "$stamp"; then
+    [ -x .venv/bin/python ] || python3 -m venv .venv
+    .venv/bin/pip install --quiet --disable-pip-version-check -r tests/python/requirements.txt
+    cp tests/python/requirements.txt "$stamp"
+fi
