@@ -2,6 +2,8 @@
 
 pub mod brdf;
 pub mod capture;
+#[cfg(feature = "cli")]
+pub mod cli;
 pub mod color;
 pub mod error;
 pub mod fit;

@@ -1,2 +1,5 @@
 //! The command line; everything it does is in [`svbrdf_gcn::cli`].
-fn main() {}
+
+fn main() {
+    std::process::exit(svbrdf_gcn::cli::main(std::env::args_os()));
+}

@@ -17,6 +17,7 @@ use crate::capture::Capture;
 use crate::error::{Error, Result};
 use crate::material::Material;
 use crate::metrics::photo_rmse;
+use crate::nn::Model;
 use crate::render::{Target, render};
 use options::{FitOptions, Method};
 use progress::{CancelToken, Control, Progress, ProgressFn, Stage};
@@ -39,7 +40,12 @@ pub struct Fit {
 /// # Errors
 /// [`Error::InvalidArgument`] for options out of range or a model that cannot take this many photos; [`Error::OutOfMemory`] before
 /// anything is computed; [`Error::Cancelled`]; [`Error::NonFinite`] if the loss is not finite from the start.
-pub fn fit_material(capture: &Capture, options: &FitOptions, progress: &mut ProgressFn<'_>) -> Result<Fit> {
+pub fn fit_material(
+    capture: &Capture,
+    model: Option<&Model>,
+    options: &FitOptions,
+    progress: &mut ProgressFn<'_>,
+) -> Result<Fit> {
     let started = Instant::now();
     let pool = pool(options.threads)?;
     memory::check(direct::memory(capture), options.max_memory)?;

@@ -378,6 +378,13 @@ impl Network {
         &self.config
     }
 
+    /// How many parameters there are, those of the adapters included.
+    pub fn parameters(&self) -> usize {
+        let mut count = 0;
+        self.for_each_tensor(|_, _, values| count += values.len());
+        count
+    }
+
     /// The adapters in the order of their outputs: diffuse, normal, roughness, specular, and tangent if anisotropic.
     pub fn adapters(&self) -> &[AdapterParams] {
         &self.adapters

@@ -1,0 +1,86 @@
+//! `svbrdf-gcn evaluate`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{CaptureArgs, say, say_json};
+use crate::capture::Capture;
+use crate::error::{Error, Result};
+use crate::material::Material;
+use crate::metrics::{MapErrors, photo_rmse};
+use crate::render::render;
+
+#[derive(Args)]
+pub struct EvaluateArgs {
+    /// Folder of a material.
+    material: PathBuf,
+    #[command(flatten)]
+    capture: CaptureArgs,
+    /// Folder of the true maps, to compare the material's with.
+    #[arg(long)]
+    truth: Option<PathBuf>,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Evaluation {
+    /// RMSE of each photo, gamma 2.2, clamped to [0, 1].
+    photos: Vec<PhotoError>,
+    /// Mean of these.
+    rmse: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    maps: Option<MapErrors>,
+}
+
+#[derive(Serialize)]
+struct PhotoError {
+    name: String,
+    rmse: f64,
+}
+
+pub fn run(args: &EvaluateArgs) -> Result<()> {
+    let material = Material::load(&args.material)?;
+    let size = material.width().max(material.height());
+    let capture = Capture::open_with(&args.capture.capture, &args.capture.options(Some(size)))?;
+    if (capture.width(), capture.height()) != (material.width(), material.height()) {
+        return Err(Error::shape(
+            args.capture.capture.display().to_string(),
+            format!(
+                "photos that can be brought to the {} x {} pixels of the material",
+                material.width(),
+                material.height()
+            ),
+            format!("{} x {}", capture.width(), capture.height()),
+        ));
+    }
+    let photos = capture
+        .photos()
+        .iter()
+        .map(|photo| {
+            let rmse = photo_rmse(&render(&material, &photo.shot)?, &photo.image)?;
+            Ok(PhotoError { name: photo.name.clone(), rmse })
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let rmse = photos.iter().map(|photo| photo.rmse).sum::<f64>() / photos.len() as f64;
+    let maps = match &args.truth {
+        Some(truth) => {
+            let truth = Material::load(truth)?;
+            Some(MapErrors::between(&material, &truth.resized(size)?)?)
+        }
+        None => None,
+    };
+    let evaluation = Evaluation { photos, rmse, maps };
+    if args.json { say_json(&evaluation) } else { say(&text(&evaluation)) }
+}
+
+fn text(evaluation: &Evaluation) -> String {
+    let mut lines: Vec<String> =
+        evaluation.photos.iter().map(|photo| format!("{:<24}{:.4}", photo.name, photo.rmse)).collect();
+    lines.push(format!("{:<24}{:.4}  RMSE, gamma 2.2", "mean", evaluation.rmse));
+    lines.extend(evaluation.maps.as_ref().map(ToString::to_string));
+    lines.join("\n")
+}

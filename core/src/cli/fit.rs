@@ -1,0 +1,214 @@
+//! `svbrdf-gcn fit`.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+
+use super::{CaptureArgs, complain, say, say_json};
+use crate::capture::Capture;
+use crate::error::{Error, Result};
+use crate::fit::options::{FitOptions, Method, Preset};
+use crate::fit::progress::{CancelToken, Progress};
+use crate::fit::report::FitReport;
+use crate::fit::{Fit, fit_material};
+use crate::io::material::{MaterialFormat, SaveOptions};
+use crate::nn::Model;
+
+#[derive(Args)]
+pub struct FitArgs {
+    #[command(flatten)]
+    capture: CaptureArgs,
+    /// Folder for the maps, `material.json` and `preview.png`.
+    #[arg(long, short)]
+    out: PathBuf,
+    /// Longer side of the maps in pixels; larger photos are resampled.
+    #[arg(long)]
+    size: Option<usize>,
+    /// How much time to spend.
+    #[arg(long, value_enum, default_value = "balanced")]
+    preset: PresetArg,
+    /// How to get from photos to maps; auto: network where weights are given, else direct.
+    #[arg(long, value_enum, default_value = "auto")]
+    method: MethodArg,
+    /// Trained weights (safetensors).
+    #[arg(long)]
+    weights: Option<PathBuf>,
+    /// Steps on the latent code, instead of the preset's.
+    #[arg(long)]
+    latent_steps: Option<usize>,
+    /// Steps on the adapters, instead of the preset's.
+    #[arg(long)]
+    adapter_steps: Option<usize>,
+    /// Steps on the maps themselves, instead of the preset's.
+    #[arg(long)]
+    direct_steps: Option<usize>,
+    /// Take every step, also when the loss has flattened.
+    #[arg(long)]
+    no_early_stop: bool,
+    /// Most bytes the run may use; three quarters of the free memory if not given.
+    #[arg(long, value_name = "BYTES")]
+    max_memory: Option<u64>,
+    /// Seed of everything random.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Threads; all if not given.
+    #[arg(long)]
+    threads: Option<usize>,
+    /// File format of the maps.
+    #[arg(long, value_enum, default_value = "exr")]
+    format: FormatArg,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+    /// No progress bar and no summary.
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum PresetArg {
+    Draft,
+    Balanced,
+    High,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum MethodArg {
+    Auto,
+    Network,
+    Direct,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum FormatArg {
+    Exr,
+    Png16,
+    Tiff,
+}
+
+impl FitArgs {
+    fn fit_options(&self, cancel: CancelToken) -> FitOptions {
+        let mut options = FitOptions::preset(match self.preset {
+            PresetArg::Draft => Preset::Draft,
+            PresetArg::Balanced => Preset::Balanced,
+            PresetArg::High => Preset::High,
+        });
+        options.method = match self.method {
+            MethodArg::Auto => Method::Auto,
+            MethodArg::Network => Method::Network,
+            MethodArg::Direct => Method::Direct,
+        };
+        options.latent_steps = self.latent_steps;
+        options.adapter_steps = self.adapter_steps;
+        options.direct_steps = self.direct_steps;
+        options.max_memory = self.max_memory;
+        options.seed = self.seed;
+        options.threads = self.threads;
+        options.early_stop = self.no_early_stop.then_some(false);
+        options.cancel = cancel;
+        options
+    }
+
+    fn save_options(&self) -> SaveOptions {
+        SaveOptions::new(match self.format {
+            FormatArg::Exr => MaterialFormat::Exr,
+            FormatArg::Png16 => MaterialFormat::Png16,
+            FormatArg::Tiff => MaterialFormat::Tiff,
+        })
+    }
+}
+
+pub fn run(args: &FitArgs) -> Result<()> {
+    let cancel = CancelToken::new();
+    let on_interrupt = cancel.clone();
+    // A host that has its own handler keeps it.
+    drop(ctrlc::set_handler(move || on_interrupt.cancel()));
+
+    let capture = Capture::open_with(&args.capture.capture, &args.capture.options(args.size))?;
+    let model = args.weights.as_deref().map(|path| Model::load_for(path, capture.len())).transpose()?;
+    let mut bar = Bar::new(args.quiet || args.json);
+    let fit = fit_material(&capture, model.as_ref(), &args.fit_options(cancel), &mut |progress| {
+        bar.show(progress);
+        ControlFlow::Continue(())
+    });
+    bar.finish();
+    let Fit { material, report } = fit?;
+    let report_json = serde_json::to_value(&report).map_err(|error| Error::invalid("report", error.to_string()))?;
+    let mut save_options = args.save_options().report(report_json.clone());
+    if let Some(unit) = capture.unit() {
+        save_options = save_options.unit(unit);
+    }
+    material.save(&args.out, &save_options)?;
+    let preview = args.out.join("preview.png");
+    super::preview::write(&preview, &material, &capture)?;
+
+    for warning in &report.warnings {
+        complain(&format!("warning: {warning}"));
+    }
+    if args.json {
+        say_json(&json!({ "material": args.out, "preview": preview, "report": report_json }))
+    } else if args.quiet {
+        Ok(())
+    } else {
+        say(&summary(&report, &args.out))
+    }
+}
+
+fn summary(report: &FitReport, out: &Path) -> String {
+    let mut lines: Vec<String> = report
+        .stages
+        .iter()
+        .map(|stage| {
+            format!(
+                "{:<9}{:>5} steps  loss {:>9.4} -> {:>9.4}  {:>6.1} s{}",
+                stage.stage.name(),
+                stage.steps,
+                stage.first_loss,
+                stage.best_loss,
+                stage.seconds,
+                if stage.stopped_early { "  (flat)" } else { "" }
+            )
+        })
+        .collect();
+    let error = report.photo_errors.iter().sum::<f64>() / report.photo_errors.len() as f64;
+    lines.push(format!("photos used: RMSE {error:.4} (gamma 2.2) over {}", report.photo_errors.len()));
+    lines.push(format!("{} in {:.1} s", out.display(), report.seconds));
+    lines.join("\n")
+}
+
+/// The progress bar: stage, steps, loss, time left.
+struct Bar {
+    bar: ProgressBar,
+    stage: &'static str,
+}
+
+impl Bar {
+    fn new(hidden: bool) -> Self {
+        let bar = if hidden { ProgressBar::hidden() } else { ProgressBar::new(1) };
+        if let Ok(style) = ProgressStyle::with_template("{prefix:<9}{bar:40} {pos:>5}/{len} {msg}  {eta} left") {
+            bar.set_style(style);
+        }
+        Self { bar, stage: "" }
+    }
+
+    fn show(&mut self, progress: &Progress) {
+        let stage = progress.stage.name();
+        if stage != self.stage {
+            self.stage = stage;
+            self.bar.reset();
+            self.bar.set_prefix(stage);
+            self.bar.set_length(progress.steps as u64);
+        }
+        if let Some(loss) = progress.loss {
+            self.bar.set_message(format!("loss {loss:.4}"));
+        }
+        self.bar.set_position(progress.step as u64);
+    }
+
+    fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}

@@ -1,0 +1,79 @@
+//! `svbrdf-gcn info`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::{Value, json};
+
+use super::{say, say_json};
+use crate::error::Result;
+use crate::io::material::read_report;
+use crate::maps::Lobe;
+use crate::material::Material;
+use crate::nn::Model;
+
+#[derive(Args)]
+pub struct InfoArgs {
+    /// A weights file or the folder of a material.
+    file: PathBuf,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &InfoArgs) -> Result<()> {
+    let facts = if args.file.is_dir() { material(args)? } else { weights(args)? };
+    if args.json { say_json(&facts) } else { say(&lines(&facts, 0)) }
+}
+
+fn material(args: &InfoArgs) -> Result<Value> {
+    let material = Material::load(&args.file)?;
+    Ok(json!({
+        "kind": "material",
+        "width": material.width(),
+        "height": material.height(),
+        "patch_size": material.patch_size,
+        "lobe": match material.lobe() { Lobe::Isotropic => "isotropic", Lobe::Anisotropic => "anisotropic" },
+        "report": read_report(&args.file)?,
+    }))
+}
+
+fn weights(args: &InfoArgs) -> Result<Value> {
+    let model = Model::load(&args.file)?;
+    let networks: Vec<Value> = model
+        .networks()
+        .iter()
+        .map(|network| json!({ "config": network.config(), "parameters": network.parameters() }))
+        .collect();
+    Ok(json!({ "kind": "weights", "license": model.license(), "networks": networks }))
+}
+
+/// A JSON value as indented lines.
+fn lines(value: &Value, depth: usize) -> String {
+    let indent = "  ".repeat(depth);
+    let entry = |name: &str, value: &Value| match value {
+        Value::Object(_) => format!("{indent}{name}:\n{}", lines(value, depth + 1)),
+        Value::Array(items) if items.iter().any(Value::is_object) => {
+            format!("{indent}{name}:\n{}", lines(value, depth + 1))
+        }
+        Value::Array(items) => {
+            format!("{indent}{name}: {}", items.iter().map(scalar).collect::<Vec<_>>().join(", "))
+        }
+        other => format!("{indent}{name}: {}", scalar(other)),
+    };
+    match value {
+        Value::Object(map) => map.iter().map(|(name, value)| entry(name, value)).collect::<Vec<_>>().join("\n"),
+        Value::Array(items) => {
+            items.iter().enumerate().map(|(i, value)| entry(&i.to_string(), value)).collect::<Vec<_>>().join("\n")
+        }
+        other => format!("{indent}{}", scalar(other)),
+    }
+}
+
+fn scalar(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Null => "-".to_owned(),
+        other => other.to_string(),
+    }
+}

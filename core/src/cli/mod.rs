@@ -1,0 +1,163 @@
+//! The command line, as a library function so that every package can offer it.
+
+mod evaluate;
+mod fit;
+mod info;
+mod preview;
+mod render;
+
+use std::ffi::OsString;
+use std::io::Write;
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use crate::capture::CaptureOptions;
+use crate::color::Transfer;
+use crate::error::{Error, Result};
+
+/// Material maps from flash photos.
+#[derive(Parser)]
+#[command(name = "svbrdf-gcn", version, about, after_help = EXIT_CODES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Log what happens on standard error.
+    #[arg(long, short, global = true)]
+    verbose: bool,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done, 2 bad arguments or capture, 3 a file cannot be read or written, \
+4 weights, 5 values that are not finite, 6 not enough memory, 130 cancelled.";
+
+#[derive(Subcommand)]
+enum Command {
+    /// Fit a material to a capture.
+    Fit(fit::FitArgs),
+    /// Render a material from a camera and a light position.
+    Render(render::RenderArgs),
+    /// Compare re-renderings of a material with photos that the fit did not use.
+    Evaluate(evaluate::EvaluateArgs),
+    /// Tell what a weights file or a material folder holds.
+    Info(info::InfoArgs),
+}
+
+/// How a capture is read; the same for every command that takes one.
+#[derive(Args)]
+struct CaptureArgs {
+    /// Folder of a capture, or its JSON file.
+    capture: PathBuf,
+    /// Photos to take, counted from 0: 0,2,5.
+    #[arg(long, value_delimiter = ',', value_name = "I,J,...")]
+    views: Option<Vec<usize>>,
+    /// Transfer function of the photos, instead of what the capture states.
+    #[arg(long)]
+    transfer: Option<TransferArg>,
+}
+
+impl CaptureArgs {
+    fn options(&self, size: Option<usize>) -> CaptureOptions {
+        let mut options = CaptureOptions::new();
+        options.size = size;
+        options.views.clone_from(&self.views);
+        options.transfer = self.transfer.map(Transfer::from);
+        options
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum TransferArg {
+    #[value(name = "gamma2.2")]
+    Gamma22,
+    Srgb,
+    Linear,
+}
+
+impl From<TransferArg> for Transfer {
+    fn from(transfer: TransferArg) -> Self {
+        match transfer {
+            TransferArg::Gamma22 => Self::Gamma22,
+            TransferArg::Srgb => Self::Srgb,
+            TransferArg::Linear => Self::Linear,
+        }
+    }
+}
+
+/// Three numbers separated by commas.
+#[derive(Clone, Copy)]
+struct Triple([f64; 3]);
+
+impl std::str::FromStr for Triple {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let values: Vec<f64> = text
+            .split(',')
+            .map(|part| part.trim().parse().map_err(|_| format!("expected three numbers x,y,z, got {part:?}")))
+            .collect::<std::result::Result<_, _>>()?;
+        let found = values.len();
+        values.try_into().map(Self).map_err(|_| format!("expected three numbers x,y,z, got {found}"))
+    }
+}
+
+/// Runs the command line with `arguments` (the program's name first) and returns its exit code.
+///
+/// Results go to standard output, progress, warnings and one-line errors to standard error.
+pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> i32 {
+    let cli = match Cli::try_parse_from(arguments) {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help and version go to standard output, errors to standard error; a closed pipe is nobody's loss.
+            drop(error.print());
+            return error.exit_code();
+        }
+    };
+    if cli.verbose {
+        // A host may have set a subscriber of its own; it keeps it.
+        drop(tracing_subscriber::fmt().with_writer(std::io::stderr).with_max_level(tracing::Level::DEBUG).try_init());
+    }
+    let result = match cli.command {
+        Command::Fit(args) => fit::run(&args),
+        Command::Render(args) => render::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
+        Command::Info(args) => info::run(&args),
+    };
+    match result {
+        Ok(()) => 0,
+        Err(error) => {
+            complain(&format!("error: {error}"));
+            exit_code(&error)
+        }
+    }
+}
+
+fn exit_code(error: &Error) -> i32 {
+    match error {
+        Error::InvalidArgument { .. } | Error::ShapeMismatch { .. } => 2,
+        Error::Io { .. } | Error::UnsupportedFormat { .. } => 3,
+        Error::Weights { .. } => 4,
+        Error::NonFinite { .. } => 5,
+        Error::OutOfMemory { .. } => 6,
+        Error::Cancelled => 130,
+    }
+}
+
+/// One line on standard error.
+fn complain(line: &str) {
+    drop(writeln!(std::io::stderr(), "{line}"));
+}
+
+/// Text on standard output.
+///
+/// # Errors
+/// [`Error::Io`] if it cannot be written.
+fn say(text: &str) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{text}").and_then(|()| out.flush()).map_err(|source| Error::io("standard output".as_ref(), source))
+}
+
+/// A value as one JSON object on standard output.
+fn say_json(value: &impl serde::Serialize) -> Result<()> {
+    let text = serde_json::to_string(value).map_err(|error| Error::invalid("--json", error.to_string()))?;
+    say(&text)
+}
