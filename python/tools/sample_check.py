@@ -1,0 +1,126 @@
+"""Compares a sample capture with the shading model of the project, computed from the true maps. Needs numpy only.
+
+    python3 python/tools/sample_check.py samples/tiles
+
+prints for each photo: the error of the re-rendering (RMSE in gamma 2.2, both clamped to [0, 1]), the mean of photo / re-rendering
+over the pixels that are neither saturated nor black, and the displacement between the two in pixels.
+"""
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import png
+
+
+@dataclass
+class Sample:
+    """A capture as the script wrote it: linear photos and the true maps, (H, W, C) float64, row 0 at the top."""
+
+    capture: dict
+    photos: list
+    saturated: list
+    truth: dict
+
+
+def load(folder):
+    """Read `capture.json`, the photos and `truth/`; photos are decoded, `normal` is unit length."""
+    folder = Path(folder)
+    capture = json.loads((folder / "capture.json").read_text())
+    stored = [png.read(folder / photo["file"]) for photo in capture["photos"]]
+    truth = {name: unit_range(png.read(folder / "truth" / f"{name}.png")) for name in ("diffuse", "specular", "roughness", "normal")}
+    normal = 2 * truth["normal"] - 1
+    truth["normal"] = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    return Sample(
+        capture=capture,
+        photos=[decode(unit_range(photo), capture["transfer"]) for photo in stored],
+        saturated=[photo == np.iinfo(photo.dtype).max for photo in stored],
+        truth=truth,
+    )
+
+
+def unit_range(stored):
+    return stored / np.iinfo(stored.dtype).max
+
+
+def decode(stored, transfer):
+    """Linear values of stored ones, `srgb` or `linear`."""
+    if transfer == "linear":
+        return stored
+    return np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
+
+
+def shade(truth, camera, light, light_intensity, patch_size):
+    """Radiance of every pixel, (H, W, 3): Lambert and isotropic GGX lobe, with the project's masking and Fresnel forms."""
+    normal, roughness, specular = truth["normal"], truth["roughness"], truth["specular"]
+    height, width, _ = normal.shape
+    x = ((np.arange(width) + 0.5) / width - 0.5) * patch_size
+    y = -((np.arange(height) + 0.5) / height - 0.5) * patch_size * height / width
+    points = np.stack([*np.meshgrid(x, y), np.zeros((height, width))], -1)
+
+    def dot(a, b):
+        return (a * b).sum(-1, keepdims=True)
+
+    def unit(vectors):
+        return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+    to_light = np.asarray(light) - points
+    view_dir, light_dir = unit(np.asarray(camera) - points), unit(to_light)
+    half_vector = unit(view_dir + light_dir)
+    n_dot_l, n_dot_v, v_dot_h = dot(normal, light_dir), dot(normal, view_dir), dot(view_dir, half_vector)
+    alpha = np.maximum(roughness, 1e-3) ** 2
+    across = np.cross(normal, half_vector)
+    ndf = alpha**2 / (np.pi * (dot(across, across) + dot(normal, half_vector) ** 2 * alpha**2) ** 2)
+    k = alpha / 2
+    visibility = 1 / (4 * (n_dot_l * (1 - k) + k) * (n_dot_v * (1 - k) + k))
+    fresnel = specular + (1 - specular) * 2 ** ((-5.55473 * v_dot_h - 6.98316) * v_dot_h)
+    brdf = truth["diffuse"] * (1 - specular) / np.pi + ndf * visibility * fresnel
+    lit = (n_dot_l > 0) & (n_dot_v > 0)
+    return np.where(lit, brdf * n_dot_l * np.asarray(light_intensity) / dot(to_light, to_light), 0)
+
+
+def rendering(sample, index):
+    """The re-rendering of photo `index` from the true maps, not clamped."""
+    capture, photo = sample.capture, sample.capture["photos"][index]
+    intensity = photo.get("light_intensity", capture["light_intensity"])
+    return shade(sample.truth, photo["camera"], photo["light"], intensity, capture["patch_size"])
+
+
+def gamma(linear):
+    return np.clip(linear, 0, 1) ** (1 / 2.2)
+
+
+def rmse(a, b):
+    return float(np.sqrt(np.mean((a - b) ** 2)))
+
+
+def displacement(image, reference):
+    """(dx, dy) in pixels by which `image` (H, W) lies right of and below `reference`: least squares on its gradient."""
+    gradient_y, gradient_x = np.gradient(reference)
+    inner = (slice(2, -2), slice(2, -2))
+    slopes = np.stack([gradient_x[inner].ravel(), gradient_y[inner].ravel()], 1)
+    difference = (image - reference)[inner].ravel()
+    return -np.linalg.lstsq(slopes, difference - difference.mean(), rcond=None)[0]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", type=Path, help="folder with capture.json and truth/")
+    sample = load(parser.parse_args().folder)
+    errors = []
+    for index, photo in enumerate(sample.photos):
+        model = rendering(sample, index)
+        clear = ~sample.saturated[index] & (photo > 0.01)
+        ratio = (photo[clear] / model[clear]).mean()
+        dx, dy = displacement(gamma(photo).mean(-1), gamma(model).mean(-1))
+        errors.append(rmse(gamma(photo), gamma(model)))
+        saturated = 100 * sample.saturated[index].any(-1).mean()
+        print(f"photo {index}: RMSE {errors[-1]:.4f}, photo/model {ratio:.4f}, displaced {dx:+.3f} {dy:+.3f} px, saturated {saturated:.2f} %")
+    print(f"mean RMSE {np.mean(errors):.4f}")
+
+
+if __name__ == "__main__":
+    main()
