@@ -3,8 +3,8 @@
     python3.11 -m venv .venv && .venv/bin/pip install bpy==5.0.1 numpy
     .venv/bin/python python/tools/make_sample.py samples
 
-writes `samples/tiles` (nine 256 x 256 photos of glazed tiles) and `samples/lambert` (five 64 x 64 photos of matt fields of known
-albedo), each with `capture.json` and, in `truth/`, the maps that were rendered. Needs bpy 5.0.1, which is for Python 3.11, and no GPU.
+writes `samples/tiles` (nine 256 x 256 photos of glazed tiles) and `samples/lambert` (five 64 x 64 photos of a matt surface of
+known albedo), each with `capture.json` and, in `truth/`, the maps that were rendered. Needs bpy 5.0.1, which is for Python 3.11, and no GPU.
 The same versions give the same files; every seed and sample count is written below.
 
 The scene's unit is the centimetre. Each photo is a perspective picture by a hand-held camera with a point light beside the lens; like a
@@ -71,7 +71,7 @@ TILE_POSES = [
 LAMBERT_POSES = [
     Pose((0.0, 0.0, 15.0), (0.0, 0.0), 0, 0, 0.0),
     Pose((-4.0, 3.0, 14.0), (0.0, 0.0), 10, 90),
-    Pose((4.5, 2.0, 12.5), (0.0, 0.0), -15, 180, 3.0),
+    Pose((4.5, 2.0, 15.5), (0.0, 0.0), -15, 180, 3.0),
     Pose((2.0, -5.0, 18.0), (0.0, 0.0), 25, 270),
     Pose((-5.5, -2.0, 16.0), (0.0, 0.0), -5, 45, 5.0),
 ]

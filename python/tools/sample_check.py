@@ -1,9 +1,10 @@
 """Compares a sample capture with the shading model of the project, computed from the true maps. Needs numpy only.
 
-    python3 python/tools/sample_check.py samples/tiles
+    python3 python/tools/sample_check.py samples/tiles [--sheet docs/images/sample-tiles.jpg]
 
 prints for each photo: the error of the re-rendering (RMSE in gamma 2.2, both clamped to [0, 1]), the mean of photo / re-rendering
-over the pixels that are neither saturated nor black, and the displacement between the two in pixels.
+over the pixels that are neither saturated nor black, and the displacement between the two in pixels. `--sheet` draws photos and maps
+in one picture (needs Pillow).
 """
 
 import argparse
@@ -106,20 +107,51 @@ def displacement(image, reference):
     return -np.linalg.lstsq(slopes, difference - difference.mean(), rcond=None)[0]
 
 
+def report(sample, index):
+    """(RMSE, mean photo / re-rendering, (dx, dy)) of one photo against its re-rendering."""
+    photo, model = sample.photos[index], rendering(sample, index)
+    clear = ~sample.saturated[index] & (photo > 0.01)
+    shift = displacement(gamma(photo).mean(-1), gamma(model).mean(-1))
+    return rmse(gamma(photo), gamma(model)), float((photo[clear] / model[clear]).mean()), shift
+
+
+def sheet(sample):
+    """Photo 0, photos 1 to 8 at half size, the re-rendering of photo 0; below, the true maps. (512, 1024, 3), [0, 1], 256 x 256 sample."""
+
+    def framed(picture):
+        picture = picture.copy()
+        picture[:2] = picture[-2:] = 1
+        picture[:, :2] = picture[:, -2:] = 1
+        return picture
+
+    photos = [gamma(photo) for photo in sample.photos]
+    halved = [framed(photo.reshape(128, 2, 128, 2, 3).mean((1, 3))) for photo in photos[1:9]]
+    small = np.concatenate([np.concatenate(halved[:4], 1), np.concatenate(halved[4:], 1)], 0)
+    top = np.concatenate([framed(photos[0]), small, framed(gamma(rendering(sample, 0)))], 1)
+    truth = sample.truth
+    roughness = truth["roughness"].repeat(3, 2)
+    maps = [gamma(truth["diffuse"]), gamma(truth["specular"]), roughness, (truth["normal"] + 1) / 2]
+    return np.concatenate([top, np.concatenate([framed(picture) for picture in maps], 1)], 0)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", type=Path, help="folder with capture.json and truth/")
-    sample = load(parser.parse_args().folder)
+    parser.add_argument("--sheet", type=Path, help="picture to write: photos above, maps below")
+    options = parser.parse_args()
+    sample = load(options.folder)
     errors = []
-    for index, photo in enumerate(sample.photos):
-        model = rendering(sample, index)
-        clear = ~sample.saturated[index] & (photo > 0.01)
-        ratio = (photo[clear] / model[clear]).mean()
-        dx, dy = displacement(gamma(photo).mean(-1), gamma(model).mean(-1))
-        errors.append(rmse(gamma(photo), gamma(model)))
-        saturated = 100 * sample.saturated[index].any(-1).mean()
-        print(f"photo {index}: RMSE {errors[-1]:.4f}, photo/model {ratio:.4f}, displaced {dx:+.3f} {dy:+.3f} px, saturated {saturated:.2f} %")
+    for index, saturated in enumerate(sample.saturated):
+        error, ratio, (dx, dy) = report(sample, index)
+        errors.append(error)
+        share = 100 * saturated.any(-1).mean()
+        print(f"photo {index}: RMSE {error:.4f}, photo/model {ratio:.4f}, displaced {dx:+.3f} {dy:+.3f} px, saturated {share:.2f} %")
     print(f"mean RMSE {np.mean(errors):.4f}")
+    if options.sheet:
+        from PIL import Image
+
+        pixels = np.round(sheet(sample) * 255).astype(np.uint8)
+        Image.fromarray(pixels).save(options.sheet, quality=88)
 
 
 if __name__ == "__main__":

@@ -105,13 +105,12 @@ def tiles(size):
 
 
 def lambertian(size):
-    """Sixteen matt fields of known albedo, from 0.05 to 0.9, in a 4 x 4 checker."""
-    rng = np.random.default_rng(SEED)
-    fields = np.concatenate([np.linspace([0.05] * 3, [0.9] * 3, 6), rng.uniform(0.05, 0.9, (10, 3))])
-    fields = fields[rng.permutation(16)].reshape(4, 4, 3)
+    """A matt surface whose albedo drifts smoothly between 0.1 and 0.8, each colour in its own direction; no step that a photo would blur."""
+    across = 2 * np.pi * (np.arange(size) + 0.5) / size
+    x, y = np.meshgrid(across, across[::-1])
     ones = np.ones((size, size, 1))
     return Maps(
-        base_color=fields.repeat(size // 4, 0).repeat(size // 4, 1),
+        base_color=0.45 + 0.35 * np.sin(np.stack([x + 0.5, y + 1.0, x + y + 2.0], -1)),
         metallic=0 * ones,
         dielectric_f0=0 * ones,
         roughness=ones,
