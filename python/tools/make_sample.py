@@ -114,13 +114,23 @@ def make_capture(folder, maps, poses, transfer, dtype, frame):
         "white_level": None,
         "notes": f"Path-traced with Blender {bpy.app.version_string}, Cycles, by python/tools/make_sample.py; the true maps are in truth/.",
     }
-    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in capture.items()]
-    lines.append('  "photos": [\n' + ",\n".join(f"    {json.dumps(photo)}" for photo in photos) + "\n  ]")
-    (folder / "capture.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
+    write_json(folder / "capture.json", capture, "photos", photos)
+
+
+def write_json(path, head, name, members):
+    """Write the object `head` with a last field `name`, a list or an object whose members take a line each."""
+    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
+    if isinstance(members, dict):
+        entries, (opening, closing) = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in members.items()], "{}"
+    else:
+        entries, (opening, closing) = [json.dumps(value) for value in members], "[]"
+    body = ",\n".join(f"    {entry}" for entry in entries)
+    lines.append(f"  {json.dumps(name)}: {opening}\n{body}\n  {closing}")
+    path.write_text("{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def write_truth(folder, maps):
-    """The maps as 16-bit files, all linear, normals as (n + 1) / 2 with +y up."""
+    """The maps as a material folder of 16-bit files, all linear, normals as (n + 1) / 2 with +y up."""
     files = {
         "diffuse": maps.diffuse_albedo,
         "specular": maps.specular_albedo,
@@ -129,6 +139,8 @@ def write_truth(folder, maps):
     }
     for name, values in files.items():
         png.write(folder / f"{name}.png", quantised(values, np.uint16))
+    material = {"format": "svbrdf-gcn material", "version": 1, "patch_size": PATCH_SIZE, "unit": "cm", "lobe": "isotropic"}
+    write_json(folder / "material.json", material, "maps", {name: {"file": f"{name}.png", "transfer": "linear"} for name in files})
 
 
 def build_scene(maps, frame):
