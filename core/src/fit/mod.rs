@@ -47,6 +47,13 @@ pub fn fit_material(
     progress: &mut ProgressFn<'_>,
 ) -> Result<Fit> {
     let started = Instant::now();
+    let mut warnings = capture.warnings().to_vec();
+    if model.is_none() && options.method == Method::Network {
+        return Err(Error::invalid("method", "network needs weights, got none"));
+    }
+    if model.is_none() && options.method == Method::Auto {
+        warnings.push("no weights: the maps are fitted directly, without what a network knows of materials".to_owned());
+    }
     let pool = pool(options.threads)?;
     memory::check(direct::memory(capture), options.max_memory)?;
     on_pool(&pool, options.cancel.clone(), progress, |control| {
@@ -74,7 +81,7 @@ pub fn fit_material(
             stages,
             photo_errors,
             seconds: started.elapsed().as_secs_f64(),
-            warnings: capture.warnings().to_vec(),
+            warnings,
         };
         Ok(Fit { material, report })
     })

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 /// A file or folder of the measuring data that lies beside the repository in `shared/`, or `None` (with a message) where there is none.
 ///
 /// Set `SVBRDF_GCN_REQUIRE_SHARED=1` to turn its absence into a failure.
+#[allow(dead_code, reason = "not every test needs measuring data")]
 pub fn shared(path: &str) -> Option<PathBuf> {
     let manifest = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     let found =
@@ -18,6 +19,7 @@ pub fn shared(path: &str) -> Option<PathBuf> {
 }
 
 /// A file under `tests/fixtures` of this repository.
+#[allow(dead_code, reason = "not every test needs fixtures")]
 pub fn fixture(path: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures").join(path)
 }

@@ -1,0 +1,166 @@
+//! The command line as a user sees it: exit codes, messages, files.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn samples(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples").join(path)
+}
+
+fn run(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_svbrdf-gcn")).args(arguments).output().unwrap()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    assert!(output.status.success(), "{}", stderr(output));
+    let stdout = String::from_utf8(output.stdout.clone()).unwrap();
+    assert_eq!(stdout.trim_end().lines().count(), 1, "one JSON object and nothing else: {stdout}");
+    serde_json::from_str(&stdout).unwrap()
+}
+
+#[test]
+fn fit_evaluate_render_info() {
+    let folder = tempfile::tempdir().unwrap();
+    let (out, picture) = (folder.path().join("out"), folder.path().join("new.png"));
+    let capture = samples("lambert");
+    let fit = run(&[
+        "fit",
+        text(&capture),
+        "-o",
+        text(&out),
+        "--views",
+        "0,1,2,3",
+        "--size",
+        "32",
+        "--direct-steps",
+        "150",
+        "--json",
+    ]);
+    let report = json(&fit);
+    assert_eq!(report["report"]["method"], "direct");
+    assert_eq!(report["report"]["stages"][0]["steps"], 150);
+    assert!(stderr(&fit).contains("no weights"), "a fit without weights says so: {}", stderr(&fit));
+    for file in ["diffuse.exr", "specular.exr", "roughness.exr", "normal.exr", "material.json", "preview.png"] {
+        assert!(out.join(file).is_file(), "{file}");
+    }
+
+    let evaluation = json(&run(&[
+        "evaluate",
+        text(&out),
+        text(&capture),
+        "--views",
+        "4",
+        "--truth",
+        text(&capture.join("truth")),
+        "--json",
+    ]));
+    let rmse = evaluation["rmse"].as_f64().unwrap();
+    assert!(rmse < 0.02, "a photo that the fit did not use: {rmse}");
+    assert!(evaluation["maps"].is_object());
+
+    let render = run(&[
+        "render",
+        text(&out),
+        "--camera",
+        "0,0,15",
+        "--light=-3,3,15",
+        "--light-intensity",
+        "640,620,590",
+        "-o",
+        text(&picture),
+    ]);
+    assert!(render.status.success(), "{}", stderr(&render));
+    assert!(picture.is_file());
+    let info = json(&run(&["info", text(&out), "--json"]));
+    assert_eq!(info["width"], 32);
+    assert_eq!(info["report"]["method"], "direct");
+}
+
+#[test]
+fn same_seed_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    let capture = samples("lambert");
+    let maps: Vec<Vec<u8>> = ["a", "b"]
+        .iter()
+        .map(|name| {
+            let out = folder.path().join(name);
+            let fit = run(&[
+                "fit",
+                text(&capture),
+                "-o",
+                text(&out),
+                "--size",
+                "24",
+                "--direct-steps",
+                "30",
+                "--threads",
+                "2",
+                "--seed",
+                "5",
+                "-q",
+            ]);
+            assert!(fit.status.success(), "{}", stderr(&fit));
+            assert!(fit.stdout.is_empty());
+            ["diffuse.exr", "specular.exr", "roughness.exr", "normal.exr"]
+                .iter()
+                .flat_map(|file| std::fs::read(out.join(file)).unwrap())
+                .collect()
+        })
+        .collect();
+    assert_eq!(maps[0], maps[1]);
+}
+
+/// Exit code and what the one line on standard error must name.
+#[test]
+fn bad_input_is_one_line_that_names_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let (capture, out) = (samples("lambert"), text(&out));
+    let capture = text(&capture);
+    let missing = folder.path().join("nowhere");
+    let garbage = folder.path().join("garbage.safetensors");
+    std::fs::write(&garbage, [0xffu8; 64]).unwrap();
+    let cases: [(&[&str], i32, &[&str]); 9] = [
+        (&["fit", text(&missing), "-o", out], 3, &["nowhere"]),
+        (&["fit", capture, "-o", out, "--views", "0,9"], 2, &["9", "5"]),
+        (&["fit", capture, "-o", out, "--max-memory", "1000"], 6, &["max_memory", "1000"]),
+        (&["fit", capture, "-o", out, "--threads", "0"], 2, &["threads", "0"]),
+        (&["fit", capture, "-o", out, "--size", "0"], 2, &["size", "0"]),
+        (&["fit", capture, "-o", out, "--weights", text(&garbage)], 4, &["weights"]),
+        (&["fit", capture, "-o", out, "--method", "network"], 2, &["weights"]),
+        (&["render", capture, "--camera", "0,0,1", "--light", "0,0,1", "-o", out], 3, &["material.json"]),
+        (&["evaluate", text(&missing), capture], 3, &["nowhere"]),
+    ];
+    for (arguments, code, names) in cases {
+        let output = run(arguments);
+        let message = stderr(&output);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+        assert!(output.stdout.is_empty(), "{arguments:?}");
+        assert!(
+            message.trim_end().lines().all(|line| line.starts_with("error: ") || line.starts_with("warning: ")),
+            "{message}"
+        );
+        for name in names {
+            assert!(message.contains(name), "{arguments:?}: {message}");
+        }
+        assert!(!Path::new(out).exists(), "{arguments:?} leaves nothing behind");
+    }
+    // Usage errors are the parser's.
+    for arguments in [
+        &["fit", capture][..],
+        &["fit", capture, "-o", out, "--preset", "best"],
+        &["render", capture, "--camera", "1,2"],
+    ] {
+        assert_eq!(run(arguments).status.code(), Some(2), "{arguments:?}");
+    }
+}

@@ -1,0 +1,120 @@
+//! The fit without a network, on photos that another renderer made.
+
+mod common;
+
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use svbrdf_gcn::metrics::photo_rmse;
+use svbrdf_gcn::render::render;
+use svbrdf_gcn::{CancelToken, Capture, CaptureOptions, Error, FitOptions, Material, Preset, Progress, fit_material};
+
+fn sample(name: &str, size: usize) -> Capture {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples").join(name);
+    Capture::open_with(path, &CaptureOptions::new().size(size)).unwrap()
+}
+
+fn go_on(_: &Progress) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// Held-out error in gamma 2.2, averaged over views.
+fn held_out(material: &Material, capture: &Capture, views: &[usize]) -> f64 {
+    let errors = views.iter().map(|&view| {
+        let photo = &capture.photos()[view];
+        photo_rmse(&render(material, &photo.shot).unwrap(), &photo.image).unwrap()
+    });
+    errors.sum::<f64>() / views.len() as f64
+}
+
+#[test]
+fn a_matt_patch_comes_back_within_two_percent() {
+    let capture = sample("lambert", 64);
+    let truth = Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples/lambert/truth");
+    let truth = Material::load(truth).unwrap().resized(64).unwrap();
+    let fit = fit_material(&capture, None, &FitOptions::preset(Preset::Balanced), &mut go_on).unwrap();
+    for c in 0..3 {
+        let mean = |material: &Material| {
+            let values = material.diffuse_albedo.data().iter().skip(c).step_by(3);
+            values.map(|&value| f64::from(value)).sum::<f64>() / (64.0 * 64.0)
+        };
+        // A highlight that is not there may take up a little: what leaves the surface is (1 - F0) times the albedo.
+        let ratio = mean(&fit.material) / mean(&truth);
+        assert!((ratio - 1.0).abs() < 0.02, "channel {c}: {ratio}");
+    }
+}
+
+#[test]
+fn unseen_photos_of_the_tiles() {
+    let capture = sample("tiles", 96);
+    let seen = capture.select(&[0, 1, 2, 3, 4, 5, 6]).unwrap();
+    let fit = fit_material(&seen, None, &FitOptions::preset(Preset::Balanced), &mut go_on).unwrap();
+    let error = held_out(&fit.material, &capture, &[7, 8]);
+    assert!(error < 0.08, "{error}");
+}
+
+/// The mean of the seven photos misses the two others by 0.207; half of that is asked for, 0.08 hoped for.
+#[test]
+fn unseen_photos_of_a_real_capture() {
+    let Some(folder) = common::shared("captures/cards-blue") else { return };
+    let capture = Capture::open_with(folder, &CaptureOptions::new().size(128)).unwrap();
+    let seen = capture.select(&[0, 1, 2, 3, 4, 5, 6]).unwrap();
+    let fit = fit_material(&seen, None, &FitOptions::preset(Preset::Balanced), &mut go_on).unwrap();
+    let error = held_out(&fit.material, &capture, &[7, 8]);
+    assert!(error < 0.08, "{error}");
+}
+
+#[test]
+fn one_photo_of_any_shape_gives_finite_maps_in_range() {
+    let capture = sample("tiles", 37).select(&[3]).unwrap();
+    let fit = fit_material(&capture, None, &FitOptions::preset(Preset::Draft), &mut go_on).unwrap();
+    let material = fit.material;
+    for image in [&material.diffuse_albedo, &material.specular_albedo, &material.roughness] {
+        assert!(image.data().iter().all(|value| (0.0..=1.0).contains(value)));
+    }
+    for normal in material.normal.data().chunks_exact(3) {
+        let length = normal.iter().map(|x| x * x).sum::<f32>();
+        assert!((length - 1.0).abs() < 1e-5 && normal[2] > 0.0, "{normal:?}");
+    }
+}
+
+#[test]
+fn cancelling_at_the_start_in_the_middle_and_from_another_thread() {
+    let capture = sample("lambert", 32);
+    let options = FitOptions::preset(Preset::High);
+    for stop_at in [0, 20] {
+        let mut stop = |progress: &Progress| {
+            if progress.step >= stop_at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        assert!(matches!(fit_material(&capture, None, &options, &mut stop), Err(Error::Cancelled)), "{stop_at}");
+    }
+    let token = CancelToken::new();
+    let other = token.clone();
+    let thread = std::thread::spawn(move || {
+        std::thread::sleep(Duration::from_millis(50));
+        other.cancel();
+        Instant::now()
+    });
+    let endless = options.clone().direct_steps(10_000_000).cancel(token);
+    assert!(matches!(fit_material(&capture, None, &endless, &mut go_on), Err(Error::Cancelled)));
+    let waited = thread.join().unwrap().elapsed();
+    assert!(waited < Duration::from_secs(5), "{waited:?}");
+    // The capture and the library are as good as before.
+    let short = FitOptions::preset(Preset::Draft).direct_steps(3);
+    assert!(fit_material(&capture, None, &short, &mut go_on).is_ok());
+}
+
+#[test]
+fn the_callback_runs_on_the_calling_thread() {
+    let capture = sample("lambert", 16);
+    let here = std::thread::current().id();
+    let mut calls = 0;
+    let mut check = |_: &Progress| {
+        calls += 1;
+        assert_eq!(std::thread::current().id(), here);
+        ControlFlow::Continue(())
+    };
+    fit_material(&capture, None, &FitOptions::preset(Preset::Draft).direct_steps(10), &mut check).unwrap();
+    assert!(calls >= 10);
+}
