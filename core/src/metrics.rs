@@ -68,7 +68,7 @@ impl MapErrors {
 
 impl fmt::Display for MapErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "{:<24}{:<10}{}", "map RMSE", "linear", "gamma 2.2")?;
+        writeln!(f, "{:<24}{:<10}gamma 2.2", "map RMSE", "linear")?;
         for (name, error) in [("diffuse", self.diffuse), ("specular", self.specular), ("roughness", self.roughness)] {
             writeln!(f, "{name:<24}{:<10.4}{:.4}", error.linear, error.gamma22)?;
         }

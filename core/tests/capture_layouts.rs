@@ -1,4 +1,5 @@
 //! The layouts of captures on disk and every way they can be wrong.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests")]
 
 #[path = "common/files.rs"]
 #[allow(dead_code, reason = "shared by several tests")]

@@ -1,5 +1,7 @@
 //! Every image format, read from bytes written by hand, and written and read back.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests")]
 
+#[allow(dead_code, reason = "shared by several tests")]
 mod common;
 #[path = "common/files.rs"]
 mod files;

@@ -1,5 +1,7 @@
 //! Material folders: written, read back, and read in the encodings of the field.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests")]
 
+#[allow(dead_code, reason = "shared by several tests")]
 mod common;
 #[path = "common/files.rs"]
 #[allow(dead_code, reason = "shared by several tests")]

@@ -69,7 +69,7 @@ pub fn tiff(width: u32, height: u32, channels: u16, bits: u16, format: u16, orie
     let photometric = if channels >= 3 { 2 } else { 1 };
     file.extend(8u32.to_le_bytes());
     file.extend((entries as u16).to_le_bytes());
-    let alpha = channels % 2 == 0;
+    let alpha = channels.is_multiple_of(2);
     for (tag, kind, count, value) in [
         (256u16, 4u16, 1u32, width),
         (257, 4, 1, height),
