@@ -9,6 +9,9 @@ mod files;
 use std::fs;
 
 use image::codecs::jpeg::JpegEncoder;
+use proptest::collection::vec;
+use proptest::prelude::*;
+use proptest::sample::Index;
 use svbrdf_gcn::io::{Samples, decode_image, read_image, write_image};
 use svbrdf_gcn::{Capture, CaptureOptions, Error, Image, PhotoPixels, Shot, Transfer};
 use tempfile::TempDir;
@@ -220,6 +223,37 @@ fn lying_and_broken_headers() {
             assert!(decode_image("x", &file[..length], Transfer::Linear).is_err(), "{length} of {}", file.len());
         }
     }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn damaged_files_are_errors_or_images(which in 0usize..4, changes in vec((any::<Index>(), any::<u8>()), 1..6), cut in any::<Index>()) {
+        let mut file = match which {
+            0 => files::png(4, 4, 6, 16, &[700; 64]),
+            1 => files::tiff(4, 4, 3, 16, 1, 5, &[7; 96]),
+            2 => files::exr([1, 0, 4, 3], [0, 0, 4, 4], &[("G", &[0.5; 12]), ("R", &[0.25; 12])]),
+            _ => jpeg_file(),
+        };
+        for (at, byte) in changes {
+            let at = at.index(file.len());
+            file[at] = byte;
+        }
+        if let Ok(image) = decode_image("x", &file, Transfer::Gamma22) {
+            prop_assert_eq!(image.data().len(), image.width() * image.height() * image.channels());
+        }
+        file.truncate(cut.index(file.len()));
+        drop(decode_image("x", &file, Transfer::Gamma22));
+    }
+}
+
+fn jpeg_file() -> Vec<u8> {
+    let mut file = Vec::new();
+    JpegEncoder::new_with_quality(&mut file, 80)
+        .encode(&[90; 17 * 9 * 3], 17, 9, image::ExtendedColorType::Rgb8)
+        .unwrap();
+    file
 }
 
 #[test]
