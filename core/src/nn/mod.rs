@@ -1,5 +1,6 @@
 //! The network: NAFNet encoder and decoder with a graph convolution over the photos' features, and the per-map adapters.
 
+mod adapters;
 mod config;
 mod kernels;
 mod layout;
@@ -13,6 +14,7 @@ mod scalar;
 mod tape;
 mod weights;
 
+pub use adapters::Adapters;
 pub use config::{Gcn, NetworkConfig};
 pub use model::{Code, DecoderTrace, Model, Network};
 pub use params::AdapterParams;
