@@ -10,6 +10,10 @@ use super::lanes::Avx2;
 /// Output rows a register block of [`dense`] and [`outer`] has at most.
 const BLOCK: usize = 3;
 
+/// Values of a cache line.
+#[cfg(target_arch = "x86_64")]
+const CACHE_LINE: usize = 16;
+
 /// Floor under the variance of a layer norm.
 const EPSILON: f32 = 1e-6;
 
@@ -50,6 +54,20 @@ impl Rows<'_> {
     fn check(&self, vectors: usize) {
         assert!(self.offsets.iter().all(|&offset| offset + vectors * LANES <= self.values.len()), "a row ends early");
     }
+}
+
+/// Asks for rows that are needed soon: short pieces of rows far apart are what the hardware does not foresee.
+pub(super) fn prefetch(rows: Rows<'_>, vectors: usize) {
+    #[cfg(target_arch = "x86_64")]
+    for &offset in rows.offsets {
+        let Some(row) = rows.values.get(offset..offset + vectors * LANES) else { continue };
+        for line in row.chunks(CACHE_LINE) {
+            // SAFETY: SSE is part of x86-64, and a prefetch neither faults nor changes anything.
+            unsafe { std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(line.as_ptr().cast()) };
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (rows, vectors);
 }
 
 /// A dense layer over channels with its weights in the order in which [`dense`] reads them.

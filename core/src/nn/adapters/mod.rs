@@ -484,6 +484,13 @@ impl Adapters {
         let feature = &self.feature[kept..];
         let wide: Vec<usize> = (0..m).map(|channel| channel * shape.stride).collect();
         let narrow: Vec<usize> = (0..m).map(|channel| channel * TILE).collect();
+        // The next tile of the row, or the first of the next row.
+        let ahead = if x + TILE < shape.stride { TILE } else { shape.row() - x };
+        for rows in [gate, feature] {
+            if let Some(values) = rows.get(ahead..) {
+                kernels::prefetch(Rows { values, offsets: &wide }, vectors);
+            }
+        }
         let dense =
             |layer: &Dense, source: Rows<'_>, residual: Option<(&[f32], usize)>, target: &mut [f32], stride: usize| {
                 kernels::dense(isa, layer, source, residual, target, stride, vectors);
