@@ -1,6 +1,7 @@
 //! From photos to maps: the feature-embedded optimisation of the paper (Section 3.3), and the fit without a network.
 
 pub mod adam;
+pub mod adapters;
 mod cluster;
 pub mod descent;
 mod direct;

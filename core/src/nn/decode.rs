@@ -98,7 +98,12 @@ impl Decoding {
         let specular = self.lobe.specular_plane();
         let kinds = match self.lobe {
             Lobe::Isotropic => {
-                vec![(DIFFUSE_PLANE, albedo), (NORMAL_PLANE, Kind::Flat), (ROUGHNESS_PLANE, roughness), (specular, albedo)]
+                vec![
+                    (DIFFUSE_PLANE, albedo),
+                    (NORMAL_PLANE, Kind::Flat),
+                    (ROUGHNESS_PLANE, roughness),
+                    (specular, albedo),
+                ]
             }
             Lobe::Anisotropic => vec![
                 (DIFFUSE_PLANE, albedo),
@@ -450,7 +455,11 @@ mod tests {
                 let below = pixel_loss(&raw, i % pixels);
                 raw[i] = at;
                 let expected = (above - below) / (2.0 * delta);
-                assert!((gradient[i] - expected).abs() < 1e-6 * expected.abs().max(1.0), "{lobe:?} {i} {at}: {} {expected}", gradient[i]);
+                assert!(
+                    (gradient[i] - expected).abs() < 1e-6 * expected.abs().max(1.0),
+                    "{lobe:?} {i} {at}: {} {expected}",
+                    gradient[i]
+                );
             }
         }
     }

@@ -2,6 +2,7 @@
 
 mod adapters;
 mod config;
+mod decode;
 mod kernels;
 mod layout;
 mod matrix;
@@ -16,5 +17,6 @@ mod weights;
 
 pub use adapters::Adapters;
 pub use config::{Gcn, NetworkConfig};
+pub use decode::Decoding;
 pub use model::{Code, DecoderTrace, Model, Network};
 pub use params::AdapterParams;

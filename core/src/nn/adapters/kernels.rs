@@ -1,6 +1,9 @@
 //! The inner loops of the adapters. Each works on rows of pixels, one row per channel, [`LANES`] pixels at a time.
 //!
-//! Rows are given as a slice and the offset of each row in it. Every kernel checks its offsets once, then reads and writes unchecked.
+//! Register blocks are small arrays with loops of constant length over them, which the compiler unrolls; an index says more there than
+//! an iterator. Rows are given as a slice and the offset of each row in it. Every kernel checks its offsets once, then reads and writes unchecked.
+
+#![allow(clippy::needless_range_loop)]
 
 use super::lanes::{Isa, LANES, Lanes, Portable};
 
@@ -494,7 +497,10 @@ dispatch! {
 /// The CPU has the instructions of `S`.
 #[inline(always)]
 unsafe fn product_lanes<S: Lanes>(left: &[f32], right: &[f32], target: &mut [f32]) {
-    assert!(left.len() == target.len() && right.len() == target.len() && target.len() % LANES == 0, "lengths differ");
+    assert!(
+        left.len() == target.len() && right.len() == target.len() && target.len().is_multiple_of(LANES),
+        "lengths differ"
+    );
     for at in (0..target.len()).step_by(LANES) {
         // SAFETY: all three slices have whole vectors and the same length.
         unsafe {
@@ -512,7 +518,10 @@ dispatch! {
 /// The CPU has the instructions of `S`.
 #[inline(always)]
 unsafe fn offset_product_lanes<S: Lanes>(left: &[f32], offset: f32, right: &[f32], target: &mut [f32]) {
-    assert!(left.len() == target.len() && right.len() == target.len() && target.len() % LANES == 0, "lengths differ");
+    assert!(
+        left.len() == target.len() && right.len() == target.len() && target.len().is_multiple_of(LANES),
+        "lengths differ"
+    );
     for at in (0..target.len()).step_by(LANES) {
         // SAFETY: all three slices have whole vectors and the same length.
         unsafe {

@@ -57,6 +57,9 @@ pub struct Adapters {
     shape: Shape,
     outputs: Vec<usize>,
     isa: Isa,
+    /// Where the rows of up to 2 m channels begin in kept rows, and in rows of a tile.
+    wide: Vec<usize>,
+    narrow: Vec<usize>,
     /// The feature, its channels normalised per pixel, and the factor of that: [row][channel][column].
     feature: Buffer,
     normal: Buffer,
@@ -257,6 +260,8 @@ impl Adapters {
             shape,
             outputs: outputs.to_vec(),
             isa: Isa::detect(),
+            wide: (0..2 * channels).map(|channel| channel * shape.stride).collect(),
+            narrow: (0..2 * channels).map(|channel| channel * TILE).collect(),
             feature: Buffer::new(kept),
             normal: Buffer::new(kept),
             scale: Buffer::new(height * shape.stride),
@@ -362,13 +367,13 @@ impl Adapters {
             return Err(Error::invalid("backward", "expected a forward pass with this feature before, found none"));
         }
         let wants = Wants { params: d_params.is_some(), feature: d_feature.is_some() };
-        let mut sums = self.to_gate(d_raw, wants);
+        let mut sums = self.back_to_gate(d_raw, wants);
         let pixels = (width * height) as f64;
         let offsets: Vec<Vec<f32>> = (self.layers.iter().zip(&sums))
             .map(|(layers, sums)| layers.mean_gradient(&sums[Sum::Mix as usize]))
             .map(|mean| mean.into_iter().map(|slope| (slope / pixels) as f32).collect())
             .collect();
-        self.from_gate(&offsets, &mut sums, wants);
+        self.back_from_gate(&offsets, &mut sums, wants);
 
         if let Some(d_params) = d_params {
             let mut rest = d_params;
@@ -420,8 +425,7 @@ impl Adapters {
         let Shape { channels: m, stride, .. } = shape;
         let (start, count) = (chunk * CHUNK, rows.len() / shape.row());
         let half = m * stride;
-        let places: Vec<usize> = (0..m).map(|channel| channel * stride).collect();
-        // The kind of sum that has the right length; the sums of the backward pass are not in use yet.
+        let places = &self.wide[..m];
         let mut totals = vec![0.0; m * LANES];
         let mut next = start as isize - 1;
         for first in (0..count).step_by(2) {
@@ -436,7 +440,7 @@ impl Adapters {
                 let (left, right) = scratch.conv2[2 * j * half..][..2 * half].split_at(half);
                 kernels::product(isa, left, right, target);
                 shape.clear_tails(target, stride, m);
-                kernels::sum(isa, &mut totals, Rows { values: target, offsets: &places }, shape.vectors());
+                kernels::sum(isa, &mut totals, Rows { values: target, offsets: places }, shape.vectors());
             }
         }
         totals.chunks(LANES).map(|lanes| lanes.iter().map(|&lane| f64::from(lane)).sum()).collect()
@@ -451,8 +455,7 @@ impl Adapters {
             return;
         }
         let source = &self.normal[row as usize * shape.row()..][..shape.row()];
-        let places: Vec<usize> = (0..shape.channels).map(|channel| channel * shape.stride).collect();
-        let source = Rows { values: source, offsets: &places };
+        let source = Rows { values: source, offsets: &self.wide[..shape.channels] };
         kernels::dense(self.isa, &layers.conv1, source, None, target, shape.padded(), shape.vectors());
         shape.clear_tails(target, shape.padded(), 2 * shape.channels);
     }
@@ -467,46 +470,31 @@ impl Adapters {
     }
 
     /// From the gate's result to the result of the block, for one tile: columns from `x` on of row `row`.
-    fn middle(
-        &self,
-        adapter: usize,
-        row: usize,
-        x: usize,
-        vectors: usize,
-        tile: &mut Tile,
-        out: &mut [f32],
-        stride: usize,
-    ) {
+    fn middle(&self, adapter: usize, row: usize, x: usize, tile: &mut Tile, out: &mut [f32], stride: usize) {
         let (shape, isa, layers) = (self.shape, self.isa, &self.layers[adapter]);
         let m = shape.channels;
+        let vectors = TILE.min(shape.stride - x) / LANES;
         let kept = row * shape.row() + x;
         let gate = &self.gates[adapter * shape.height * shape.row()..][kept..];
         let feature = &self.feature[kept..];
-        let wide: Vec<usize> = (0..m).map(|channel| channel * shape.stride).collect();
-        let narrow: Vec<usize> = (0..m).map(|channel| channel * TILE).collect();
+        let (wide, narrow) = (&self.wide[..m], &self.narrow[..m]);
         // The next tile of the row, or the first of the next row.
         let ahead = if x + TILE < shape.stride { TILE } else { shape.row() - x };
         for rows in [gate, feature] {
             if let Some(values) = rows.get(ahead..) {
-                kernels::prefetch(Rows { values, offsets: &wide }, vectors);
+                kernels::prefetch(Rows { values, offsets: wide }, vectors);
             }
         }
         let dense =
             |layer: &Dense, source: Rows<'_>, residual: Option<(&[f32], usize)>, target: &mut [f32], stride: usize| {
                 kernels::dense(isa, layer, source, residual, target, stride, vectors);
             };
-        dense(
-            &layers.mix,
-            Rows { values: gate, offsets: &wide },
-            Some((feature, shape.stride)),
-            &mut tile.middle,
-            TILE,
-        );
+        dense(&layers.mix, Rows { values: gate, offsets: wide }, Some((feature, shape.stride)), &mut tile.middle, TILE);
         kernels::normalize(isa, m, &tile.middle, TILE, &mut tile.normal, TILE, &mut tile.scale, vectors);
-        dense(&layers.conv4, Rows { values: &tile.normal, offsets: &narrow }, None, &mut tile.conv4, TILE);
+        dense(&layers.conv4, Rows { values: &tile.normal, offsets: narrow }, None, &mut tile.conv4, TILE);
         let (left, right) = tile.conv4.split_at(m * TILE);
         kernels::product(isa, left, right, &mut tile.gate);
-        dense(&layers.out, Rows { values: &tile.gate, offsets: &narrow }, Some((&tile.middle, TILE)), out, stride);
+        dense(&layers.out, Rows { values: &tile.gate, offsets: narrow }, Some((&tile.middle, TILE)), out, stride);
     }
 
     /// Pass 2 of a chunk, to the rows of each plane.
@@ -524,9 +512,8 @@ impl Adapters {
                     target.fill(0.0);
                 } else {
                     for x in (0..stride).step_by(TILE) {
-                        let vectors = TILE.min(stride - x) / LANES;
                         let target = &mut target[x..];
-                        self.middle(adapter, next as usize, x, vectors, &mut scratch.tile, target, shape.padded());
+                        self.middle(adapter, next as usize, x, &mut scratch.tile, target, shape.padded());
                     }
                     shape.clear_tails(target, shape.padded(), m);
                 }
@@ -542,7 +529,7 @@ impl Adapters {
     }
 
     /// Pass 3: the gradient at the gate but for the attention's part, and the sums of the layers behind it, per adapter.
-    fn to_gate(&mut self, d_raw: &[f32], wants: Wants) -> Vec<Sums> {
+    fn back_to_gate(&mut self, d_raw: &[f32], wants: Wants) -> Vec<Sums> {
         let row = self.shape.row();
         let kept = self.shape.height * row;
         let mut gradients = std::mem::take(&mut self.gate_gradients);
@@ -559,7 +546,7 @@ impl Adapters {
         let sums = (tasks.into_par_iter().with_max_len(1))
             .map(|((adapter, chunk, rows), feature)| {
                 let work = |scratch: &mut Scratch| {
-                    self.to_gate_chunk(adapter, chunk, d_raw, rows, feature, wants, scratch);
+                    self.back_to_gate_chunk(adapter, chunk, d_raw, rows, feature, wants, scratch);
                     scratch.take_sums()
                 };
                 (adapter, self.pool.with(work))
@@ -575,7 +562,7 @@ impl Adapters {
 
     /// Pass 3 of a chunk.
     #[allow(clippy::too_many_arguments)]
-    fn to_gate_chunk(
+    fn back_to_gate_chunk(
         &self,
         adapter: usize,
         chunk: usize,
@@ -589,8 +576,7 @@ impl Adapters {
         let Shape { channels: m, width, height, stride } = shape;
         let outputs = self.outputs[adapter];
         let planes = &d_raw[self.outputs[..adapter].iter().sum::<usize>() * height * width..];
-        let wide: Vec<usize> = (0..m).map(|channel| channel * stride).collect();
-        let narrow: Vec<usize> = (0..2 * m).map(|channel| channel * TILE).collect();
+        let (wide, narrow) = (&self.wide[..m], &self.narrow[..]);
         let Scratch { d_raw: ring, tile, sums, places, .. } = scratch;
         let start = chunk * CHUNK;
         let mut next = start as isize - 1;
@@ -612,7 +598,7 @@ impl Adapters {
             for x in (0..stride).step_by(TILE) {
                 let vectors = TILE.min(stride - x) / LANES;
                 let mut out = std::mem::take(&mut tile.out);
-                self.middle(adapter, row, x, vectors, tile, &mut out, TILE);
+                self.middle(adapter, row, x, tile, &mut out, TILE);
                 tile.out = out;
                 let used = shape.width.saturating_sub(x).min(vectors * LANES);
                 let clear = |rows: &mut [f32]| {
@@ -631,7 +617,7 @@ impl Adapters {
                 let (d_left, d_right) = tile.d_conv4.split_at_mut(m * TILE);
                 kernels::product(isa, &tile.d_gate, right, d_left);
                 kernels::product(isa, &tile.d_gate, left, d_right);
-                let d_conv4 = Rows { values: &tile.d_conv4, offsets: &narrow };
+                let d_conv4 = Rows { values: &tile.d_conv4, offsets: narrow };
                 kernels::dense(isa, &layers.conv4_transposed, d_conv4, None, &mut tile.d_normal, TILE, vectors);
 
                 let tile_rows = |values| Rows { values, offsets: &narrow[..m] };
@@ -667,7 +653,7 @@ impl Adapters {
                     isa,
                     &mut sums[Sum::Mix as usize],
                     d_middle,
-                    Rows { values: gate, offsets: &wide },
+                    Rows { values: gate, offsets: wide },
                     vectors,
                 );
                 if wants.params {
@@ -685,7 +671,7 @@ impl Adapters {
     }
 
     /// Pass 4: the sums of conv1 and conv2, and the rest of the feature's gradient. `offsets` is what the attention adds at the gate.
-    fn from_gate(&mut self, offsets: &[Vec<f32>], totals: &mut [Sums], wants: Wants) {
+    fn back_from_gate(&mut self, offsets: &[Vec<f32>], totals: &mut [Sums], wants: Wants) {
         let (height, row) = (self.shape.height, self.shape.row());
         let mut features = std::mem::take(&mut self.feature_gradients);
         let chunks = height.div_ceil(CHUNK);
@@ -698,7 +684,7 @@ impl Adapters {
         let sums = (tasks.into_par_iter().with_max_len(1))
             .map(|(adapter, chunk, feature)| {
                 let work = |scratch: &mut Scratch| {
-                    self.from_gate_chunk(adapter, chunk, &offsets[adapter], feature, wants, scratch);
+                    self.back_from_gate_chunk(adapter, chunk, &offsets[adapter], feature, wants, scratch);
                     scratch.take_sums()
                 };
                 (adapter, self.pool.with(work))
@@ -709,7 +695,7 @@ impl Adapters {
     }
 
     /// Pass 4 of a chunk.
-    fn from_gate_chunk(
+    fn back_from_gate_chunk(
         &self,
         adapter: usize,
         chunk: usize,
@@ -811,12 +797,12 @@ impl Adapters {
         let targets = [0, 2 * shape.row()];
         let taps = &layers.conv2_transposed;
         kernels::depthwise(isa, taps, source, d_conv1, &targets[..count], stride, shape.vectors());
-        let places: Vec<usize> = (0..2 * m).map(|channel| channel * stride).collect();
+        let places = &self.wide[..];
         for (j, gradient) in d_conv1.chunks_mut(2 * shape.row()).take(count).enumerate() {
             shape.clear_tails(gradient, stride, 2 * m);
             let row = top as usize + j;
             let normal = &self.normal[row * shape.row()..][..shape.row()];
-            let gradient = Rows { values: gradient, offsets: &places };
+            let gradient = Rows { values: gradient, offsets: places };
             if wants.params {
                 let normal = Rows { values: normal, offsets: &places[..m] };
                 kernels::outer(isa, &mut sums[Sum::Conv1 as usize], gradient, normal, shape.vectors());
@@ -885,5 +871,38 @@ fn check_len(name: &str, expected: usize, got: usize) -> Result<()> {
         Ok(())
     } else {
         Err(Error::shape(name, format!("{expected} values"), format!("{got} values")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Adapters;
+    use super::lanes::Isa;
+    use crate::nn::AdapterParams;
+
+    #[test]
+    fn plain_arrays_give_what_vectors_give() {
+        let (width, height, outputs) = (150, 37, [2, 3]);
+        let noise = |len: usize| -> Vec<f32> {
+            (0..len).map(|i| ((i as f64 * 0.618_033_988_75 + 0.3).fract() - 0.5) as f32).collect()
+        };
+        for channels in [9, 14] {
+            let feature = noise(channels * width * height);
+            let params = noise(outputs.iter().map(|&k| AdapterParams::len_for(channels, k)).sum());
+            let run = |isa: Isa| {
+                let mut adapters = Adapters::new(&feature, channels, &outputs, width, height).unwrap();
+                adapters.isa = isa;
+                adapters.set_feature(&feature).unwrap();
+                let mut raw = vec![0.0; adapters.raw_len()];
+                let (mut d_params, mut d_feature) = (vec![0.0; params.len()], vec![0.0; feature.len()]);
+                adapters.forward(&params, &mut raw).unwrap();
+                adapters.backward(&raw, Some(&mut d_params), Some(&mut d_feature)).unwrap();
+                [raw, d_params, d_feature]
+            };
+            for (plain, vectors) in run(Isa::portable()).iter().zip(&run(Isa::detect())) {
+                let scale = plain.iter().fold(0.0f32, |scale, x| scale.max(x.abs()));
+                assert!(plain.iter().zip(vectors).all(|(a, b)| (a - b).abs() <= 1e-5 * scale), "{scale}");
+            }
+        }
     }
 }
