@@ -9,34 +9,42 @@ const ROUNDS: usize = 30;
 /// Distance between gamma 2.2 encoded colours within which a pixel counts to several groups.
 const SOFTNESS: f32 = 0.05;
 
-/// Soft membership of every pixel in at most `groups` colour groups.
+/// A pixel's share in the two groups nearest to its colour: (group, weight), the weights summing to 1.
+pub type Membership = [(u32, f32); 2];
+
+/// Soft membership of every pixel in at most `groups` colour groups, and how many groups there are.
 ///
-/// `colors`: three planes of `pixels` values, gamma 2.2 encoded. Returns one plane of weights per group, the weights of a pixel summing to 1.
-/// Fewer groups come back where there are fewer different colours.
+/// `colors`: three planes of `pixels` values, gamma 2.2 encoded. Fewer groups come back where there are fewer different colours.
 ///
 /// # Source
 /// Arthur and Vassilvitskii, "k-means++: The Advantages of Careful Seeding", SODA 2007.
-pub fn soft_groups(colors: &[f32], pixels: usize, groups: usize, seed: u64) -> Vec<Vec<f32>> {
+pub fn soft_groups(colors: &[f32], pixels: usize, groups: usize, seed: u64) -> (Vec<Membership>, usize) {
     let color = |p: usize| [colors[p], colors[pixels + p], colors[2 * pixels + p]];
     let stride = pixels.div_ceil(SAMPLES);
     let samples: Vec<[f32; 3]> = (0..pixels).step_by(stride).map(color).collect();
     let centers = lloyd(&samples, seed_centers(&samples, groups, seed));
-    let weights: Vec<Vec<f32>> = (0..pixels).into_par_iter().map(|p| memberships(color(p), &centers)).collect();
-    (0..centers.len()).map(|k| weights.iter().map(|w| w[k]).collect()).collect()
+    let memberships = (0..pixels).into_par_iter().map(|p| membership(color(p), &centers)).collect();
+    (memberships, centers.len())
 }
 
 fn distance2(a: [f32; 3], b: [f32; 3]) -> f32 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
-/// Gaussian weights around the centers, relative to the nearest one so that none underflows to 0 / 0.
-fn memberships(color: [f32; 3], centers: &[[f32; 3]]) -> Vec<f32> {
-    let distances: Vec<f32> = centers.iter().map(|&center| distance2(color, center)).collect();
-    let nearest = distances.iter().copied().fold(f32::INFINITY, f32::min);
-    let weights: Vec<f32> =
-        distances.iter().map(|distance| ((nearest - distance) / (2.0 * SOFTNESS * SOFTNESS)).exp()).collect();
-    let sum: f32 = weights.iter().sum();
-    weights.into_iter().map(|weight| weight / sum).collect()
+/// Gaussian weights around the two nearest centers, relative to the nearest one so that none underflows to 0 / 0.
+fn membership(color: [f32; 3], centers: &[[f32; 3]]) -> Membership {
+    let (mut nearest, mut second) = ((0, f32::INFINITY), (0, f32::INFINITY));
+    for (k, &center) in (0..).zip(centers) {
+        let candidate = (k, distance2(color, center));
+        if candidate.1 < nearest.1 {
+            (nearest, second) = (candidate, nearest);
+        } else if candidate.1 < second.1 {
+            second = candidate;
+        }
+    }
+    let ratio = ((nearest.1 - second.1) / (2.0 * SOFTNESS * SOFTNESS)).exp();
+    let weight = 1.0 / (1.0 + ratio);
+    [(nearest.0, weight), (second.0, 1.0 - weight)]
 }
 
 /// k-means++: each further center is drawn with probability proportional to the squared distance from those chosen.
@@ -96,21 +104,32 @@ mod tests {
                 colors[c * pixels + p] = palette[p % 3][c];
             }
         }
-        let weights = soft_groups(&colors, pixels, 8, 1);
-        assert_eq!(weights.len(), 3, "no more groups than colours");
-        let group = |p: usize| (0..3).max_by(|&a, &b| weights[a][p].total_cmp(&weights[b][p])).unwrap();
-        for p in 0..pixels {
-            assert_eq!(group(p), group(p % 3));
-            assert!((weights.iter().map(|w| w[p]).sum::<f32>() - 1.0).abs() < 1e-6);
-            assert!(weights[group(p)][p] > 0.99);
+        let (memberships, groups) = soft_groups(&colors, pixels, 8, 1);
+        assert_eq!(groups, 3, "no more groups than colours");
+        for (p, [nearest, second]) in memberships.iter().enumerate() {
+            assert_eq!(nearest.0, memberships[p % 3][0].0);
+            assert!(nearest.1 > 0.99 && (nearest.1 + second.1 - 1.0).abs() < 1e-6);
         }
-        assert_ne!(group(0), group(1));
-        assert_eq!(weights, soft_groups(&colors, pixels, 8, 1), "the seed decides");
+        assert_ne!(memberships[0][0].0, memberships[1][0].0);
+        assert_eq!(memberships, soft_groups(&colors, pixels, 8, 1).0, "the seed decides");
+    }
+
+    #[test]
+    fn halfway_between_two_colours_a_pixel_is_both() {
+        let mut colors = [0.2f32; 303];
+        for plane in colors.chunks_exact_mut(101) {
+            plane[50..100].fill(0.3);
+            plane[100] = 0.25;
+        }
+        let (memberships, groups) = soft_groups(&colors, 101, 2, 3);
+        assert_eq!(groups, 2);
+        assert!((memberships[100][0].1 - 0.5).abs() < 0.05, "{:?}", memberships[100]);
+        assert!(memberships[0][0].1 > 0.95, "{:?}", memberships[0]);
     }
 
     #[test]
     fn one_colour_and_one_pixel() {
-        assert_eq!(soft_groups(&[0.5; 300], 100, 8, 0), vec![vec![1.0; 100]]);
-        assert_eq!(soft_groups(&[0.5; 3], 1, 8, 0), vec![vec![1.0]]);
+        assert_eq!(soft_groups(&[0.5; 300], 100, 8, 0), (vec![[(0, 1.0), (0, 0.0)]; 100], 1));
+        assert_eq!(soft_groups(&[0.5; 3], 1, 8, 0), (vec![[(0, 1.0), (0, 0.0)]], 1));
     }
 }

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use crate::capture::{Capture, Photo};
 use crate::color::Transfer;
 use crate::error::Result;
-use crate::fit::cluster::soft_groups;
+use crate::fit::cluster::{Membership, soft_groups};
 use crate::fit::descent::{Descent, Settings, descend};
 use crate::fit::progress::{Control, Stage};
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
@@ -83,9 +83,9 @@ pub(crate) fn fit_direct(
 pub(crate) fn memory(capture: &Capture) -> u64 {
     let pixels = (capture.width() * capture.height()) as u64;
     // Encoded photo and saturation of each; seven parameters per pixel with gradient, best state and Adam's two moments; maps and
-    // their gradient with the logits' on the way; group weights; the start.
+    // their gradient with the logits' on the way; memberships; the start.
     let photos = capture.len() as u64 * (3 * 4 + 1);
-    pixels * (photos + 7 * 5 * 4 + 3 * 10 * 4 + 2 * GROUPS as u64 * 4 + 2 * 3 * 4)
+    pixels * (photos + 7 * 5 * 4 + 3 * 10 * 4 + 16 + 2 * 3 * 4)
 }
 
 /// Where each kind of parameter lies in the flat vector that Adam moves.
@@ -125,8 +125,7 @@ struct Problem<'a> {
     width: usize,
     height: usize,
     layout: Layout,
-    /// One plane of weights per group.
-    weights: Vec<Vec<f32>>,
+    memberships: Vec<Membership>,
     /// Logits of the diffuse albedo at the start, three planes.
     diffuse: Vec<f32>,
 }
@@ -137,10 +136,10 @@ impl<'a> Problem<'a> {
         let pixels = width * height;
         let albedo = diffuse_start(capture);
         let encoded: Vec<f32> = albedo.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
-        let weights = soft_groups(&encoded, pixels, GROUPS, seed);
+        let (memberships, groups) = soft_groups(&encoded, pixels, GROUPS, seed);
         let diffuse = albedo.iter().map(|&value| logit(0.9 * value + 0.005)).collect();
-        let layout = Layout { pixels, groups: weights.len() };
-        Ok(Self { targets, patch_size: capture.patch_size(), width, height, layout, weights, diffuse })
+        let layout = Layout { pixels, groups };
+        Ok(Self { targets, patch_size: capture.patch_size(), width, height, layout, memberships, diffuse })
     }
 
     fn start(&self) -> Vec<f32> {
@@ -162,14 +161,21 @@ impl<'a> Problem<'a> {
     }
 
     /// Group value of a quantity at every pixel, plus the pixel's own deviation.
-    fn mixed_logits(&self, values: &[f32], own: &[f32]) -> Vec<f32> {
-        let mut mixed = own.to_vec();
-        for (weights, &value) in self.weights.iter().zip(values) {
-            for (mixed, weight) in mixed.iter_mut().zip(weights) {
-                *mixed += weight * value * GROUP_STEP;
+    fn mixed_logits<'s>(&'s self, values: &'s [f32], own: &'s [f32]) -> impl Iterator<Item = f32> + 's {
+        self.memberships.iter().zip(own).map(|(&[(a, of_a), (b, of_b)], own)| {
+            own + (of_a * values[a as usize] + of_b * values[b as usize]) * GROUP_STEP
+        })
+    }
+
+    /// The transpose of [`Problem::mixed_logits`] with respect to the groups' values.
+    fn gather(&self, slopes: &[f32]) -> Vec<f32> {
+        let mut sums = vec![0.0f64; self.layout.groups];
+        for (membership, &slope) in self.memberships.iter().zip(slopes) {
+            for (group, weight) in membership {
+                sums[*group as usize] += f64::from(weight * slope);
             }
         }
-        mixed
+        sums.into_iter().map(|sum| sum as f32 * GROUP_STEP).collect()
     }
 
     /// Parameters to maps. Normals are left as (slope x, slope y, 1).
@@ -232,13 +238,9 @@ impl<'a> Problem<'a> {
             *own = specular[0][p] + specular[1][p] + specular[2][p];
         }
         gradient[layout.roughness_own()..layout.specular_group()].copy_from_slice(roughness);
-        let group = |k: usize, values: &[f32]| {
-            sum(self.weights[k].iter().zip(values).map(|(weight, value)| weight * value)) * GROUP_STEP
-        };
-        let groups = layout.groups;
-        let shared: Vec<f32> = (0..4 * groups)
+        let shared: Vec<f32> = [&specular[0], &specular[1], &specular[2], roughness]
             .into_par_iter()
-            .map(|i| group(i % groups, if i < 3 * groups { &specular[i / groups] } else { roughness }))
+            .flat_map_iter(|slopes| self.gather(slopes))
             .collect();
         gradient[layout.specular_group()..layout.tilt()].copy_from_slice(&shared);
     }
