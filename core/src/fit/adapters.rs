@@ -92,9 +92,19 @@ impl<'a> Readout<'a> {
         Ok(loss)
     }
 
+    /// Adam's learning rate for this number of photos.
+    pub(crate) fn learning_rate(&self) -> f64 {
+        RATES[usize::from(self.targets.len() == 1)]
+    }
+
     /// The maps of the last [`Readout::loss`].
     pub fn maps(&self) -> &Maps<f32> {
         &self.maps
+    }
+
+    /// As [`Readout::maps`], when nothing more is to be computed.
+    pub(crate) fn into_maps(self) -> Maps<f32> {
+        self.maps
     }
 }
 
@@ -114,13 +124,8 @@ pub fn fit_adapters(
     control: &mut Control<'_>,
 ) -> Result<Descent> {
     let mut params: Vec<f32> = adapters.iter().flat_map(|adapter| &adapter.values).copied().collect();
-    let settings = Settings {
-        stage: Stage::Adapters,
-        steps,
-        learning_rate: RATES[usize::from(readout.targets.len() == 1)],
-        final_rate: 1.0,
-        early_stop,
-    };
+    let settings =
+        Settings { stage: Stage::Adapters, steps, learning_rate: readout.learning_rate(), final_rate: 1.0, early_stop };
     let descent = descend(&mut params, &settings, control, |params, gradient, control| {
         readout.loss(params, gradient, None, control)
     })?;

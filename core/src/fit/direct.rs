@@ -9,14 +9,18 @@
 //!
 //! Not from the paper.
 
+use std::time::Instant;
+
 use rayon::prelude::*;
 
 use crate::capture::{Capture, Photo};
 use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::cluster::{Membership, soft_groups};
-use crate::fit::descent::{Descent, Settings, descend};
+use crate::fit::descent::{Settings, descend};
+use crate::fit::options::FitOptions;
 use crate::fit::progress::{Control, Stage};
+use crate::fit::report::StageReport;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::render::{Target, photo_loss};
 
@@ -55,12 +59,14 @@ const TILT_STEP: f32 = 1.0 / 3.0;
 pub(crate) fn fit_direct(
     capture: &Capture,
     targets: &[Target],
-    steps: usize,
-    seed: u64,
+    options: &FitOptions,
+    stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
-) -> Result<(Maps<f32>, Descent)> {
+) -> Result<Maps<f32>> {
+    let begun = Instant::now();
+    let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
     control.report(Stage::Direct, 0, steps, None)?;
-    let problem = Problem::new(capture, targets, seed)?;
+    let problem = Problem::new(capture, targets, options.seed)?;
     let mut params = problem.start();
     let settings =
         Settings { stage: Stage::Direct, steps, learning_rate: LEARNING_RATE, final_rate: 0.02, early_stop: None };
@@ -76,16 +82,8 @@ pub(crate) fn fit_direct(
         Ok(loss + problem.prior(params, Some(gradient)))
     })?;
     problem.decode(&params, &mut maps);
-    Ok((maps, descent))
-}
-
-/// Estimated bytes of a fit without a network.
-pub(crate) fn memory(capture: &Capture) -> u64 {
-    let pixels = (capture.width() * capture.height()) as u64;
-    // Encoded photo and saturation of each; seven parameters per pixel with gradient, best state and Adam's two moments; maps and
-    // their gradient with the logits' on the way; memberships; the start.
-    let photos = capture.len() as u64 * (3 * 4 + 1);
-    pixels * (photos + 7 * 5 * 4 + 3 * 10 * 4 + 16 + 2 * 3 * 4)
+    stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
+    Ok(maps)
 }
 
 /// Where each kind of parameter lies in the flat vector that Adam moves.

@@ -1,6 +1,8 @@
 //! How much memory a run may use.
 
+use crate::capture::Capture;
 use crate::error::{Error, Result};
+use crate::nn::Network;
 
 /// Bytes a run may use: what the caller allows, or three quarters of what is free.
 pub(crate) fn allowed(max_memory: Option<u64>) -> u64 {
@@ -20,4 +22,16 @@ pub(crate) fn allowed(max_memory: Option<u64>) -> u64 {
 pub(crate) fn check(needed: u64, max_memory: Option<u64>) -> Result<()> {
     let allowed = allowed(max_memory);
     if needed > allowed { Err(Error::OutOfMemory { needed, allowed }) } else { Ok(()) }
+}
+
+/// Estimated bytes a fit takes beyond the capture and the model it is given.
+pub(crate) fn estimate(capture: &Capture, network: Option<&Network>) -> u64 {
+    let pixels = (capture.width() * capture.height()) as u64;
+    // Encoded photos and what is saturated in them; maps and their gradient; the material and what is rendered of it.
+    let common = capture.len() as u64 * (3 * 4 + 1) + 2 * 14 * 4 + (14 + 6) * 4;
+    match network {
+        // Seven parameters per pixel with gradient, best state and Adam's two moments; the start; logits' gradients; group memberships.
+        None => pixels * (common + 7 * 5 * 4 + 3 * 4 + 7 * 4 + 16),
+        Some(network) => pixels * common + network.fit_memory(capture.height(), capture.width()),
+    }
 }

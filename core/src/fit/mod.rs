@@ -5,7 +5,9 @@ pub mod adapters;
 mod cluster;
 pub mod descent;
 mod direct;
+pub mod latent;
 mod memory;
+mod network;
 pub mod options;
 pub mod progress;
 pub mod report;
@@ -20,9 +22,11 @@ use crate::material::Material;
 use crate::metrics::photo_rmse;
 use crate::nn::Model;
 use crate::render::{Target, render};
+use direct::fit_direct;
+use network::fit_network;
 use options::{FitOptions, Method};
-use progress::{CancelToken, Control, Progress, ProgressFn, Stage};
-use report::{FitReport, StageReport};
+use progress::{CancelToken, Control, Progress, ProgressFn};
+use report::FitReport;
 
 /// A fitted material and how it came about.
 #[derive(Clone, Debug)]
@@ -49,23 +53,24 @@ pub fn fit_material(
 ) -> Result<Fit> {
     let started = Instant::now();
     let mut warnings = capture.warnings().to_vec();
-    if model.is_none() && options.method == Method::Network {
-        return Err(Error::invalid("method", "network needs weights, got none"));
-    }
-    if model.is_none() && options.method == Method::Auto {
-        warnings.push("no weights: the maps are fitted directly, without what a network knows of materials".to_owned());
-    }
+    let network = match (options.method, model) {
+        (Method::Direct, _) => None,
+        (Method::Network, None) => return Err(Error::invalid("method", "network needs weights, got none")),
+        (Method::Auto, None) => {
+            warnings
+                .push("no weights: the maps are fitted directly, without what a network knows of materials".to_owned());
+            None
+        }
+        (Method::Network | Method::Auto, Some(model)) => Some(model.network(capture.len())?),
+    };
     let pool = pool(options.threads)?;
-    memory::check(direct::memory(capture), options.max_memory)?;
+    memory::check(memory::estimate(capture, network), options.max_memory)?;
     on_pool(&pool, options.cancel.clone(), progress, |control| {
         let targets = capture.photos().iter().map(Target::from_photo).collect::<Result<Vec<_>>>()?;
         let mut stages = Vec::new();
-        let maps = {
-            let begun = Instant::now();
-            let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
-            let (maps, descent) = direct::fit_direct(capture, &targets, steps, options.seed, control)?;
-            stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
-            maps
+        let maps = match network {
+            Some(network) => fit_network(capture, &targets, network, options, &mut stages, control)?,
+            None => fit_direct(capture, &targets, options, &mut stages, control)?,
         };
         let material = Material::from_maps(&maps, capture.patch_size())?;
         let photo_errors = capture
@@ -73,12 +78,17 @@ pub fn fit_material(
             .iter()
             .map(|photo| photo_rmse(&render(&material, &photo.shot)?, &photo.image))
             .collect::<Result<Vec<_>>>()?;
+        for stage in stages.iter().filter(|stage| stage.rollbacks > 0) {
+            let (name, count) = (stage.stage.name(), stage.rollbacks);
+            warnings.push(format!("{name}: {count} steps led to values that are not finite and were undone"));
+        }
         let report = FitReport {
-            method: Method::Direct,
+            method: if network.is_some() { Method::Network } else { Method::Direct },
             preset: options.preset,
             seed: options.seed,
             threads: rayon::current_num_threads(),
             photos: capture.photos().iter().map(|photo| photo.name.clone()).collect(),
+            transfer: capture.transfer(),
             stages,
             photo_errors,
             seconds: started.elapsed().as_secs_f64(),

@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::color::Transfer;
 use crate::fit::descent::Descent;
 use crate::fit::options::{Method, Preset};
 use crate::fit::progress::Stage;
@@ -54,6 +55,8 @@ pub struct FitReport {
     pub threads: usize,
     /// Names of the photos used.
     pub photos: Vec<String>,
+    /// The transfer function the photos were decoded with.
+    pub transfer: Transfer,
     /// The stages that ran, in order.
     pub stages: Vec<StageReport>,
     /// Error of each photo re-rendered: RMSE of gamma 2.2 encoded values, clamped to [0, 1].

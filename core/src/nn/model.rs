@@ -28,6 +28,11 @@ const CONVENTIONS: [(&str, &str); 5] = [
     ("color_space", "photos gamma2.2, albedos gamma2.2 of [-1, 1]"),
 ];
 
+/// Sets of feature planes that a decoder block keeps for the way back.
+const STORED_PER_BLOCK: u64 = 5;
+/// Sets of feature planes at the finest level that are alive besides: a block at work, the gradient.
+const WORKING_PLANES: u64 = 10;
+
 /// The order of the adapters' outputs, as a weights file states it.
 fn channel_order(lobe: Lobe) -> &'static str {
     match lobe {
@@ -383,6 +388,26 @@ impl Network {
         let mut count = 0;
         self.for_each_tensor(|_, _, values| count += values.len());
         count
+    }
+
+    /// Estimated bytes that encoding and optimising at `height` x `width` pixels take beyond the parameters.
+    pub(crate) fn fit_memory(&self, height: usize, width: usize) -> u64 {
+        let config = &self.config;
+        let unit = 1u64 << config.levels();
+        let pixels = (height as u64).next_multiple_of(unit) * (width as u64).next_multiple_of(unit);
+        // One set of feature planes at the finest level; every coarser level has half of it.
+        let planes = 4 * config.width as u64 * pixels;
+        let at = |level: usize, blocks: usize| blocks as u64 * (planes >> level);
+        let decoder =
+            config.decoder_blocks.iter().rev().enumerate().map(|(level, &blocks)| at(level, blocks)).sum::<u64>()
+                + at(config.levels(), config.middle_blocks);
+        let skips = 2 * planes;
+        // Adapters: input, states of the block and their gradients, raw planes and maps.
+        let feature = 4 * config.feature_channels() as u64 * pixels;
+        STORED_PER_BLOCK * decoder
+            + skips
+            + WORKING_PLANES * planes
+            + feature * (2 + 6 * config.adapters().len() as u64)
     }
 
     /// The adapters in the order of their outputs: diffuse, normal, roughness, specular, and tangent if anisotropic.
