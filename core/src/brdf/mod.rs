@@ -17,6 +17,8 @@
 //!
 //! Everything stays finite while light intensity over squared distance is below 1e12.
 
+#[cfg(target_arch = "x86_64")]
+mod avx2;
 pub mod fresnel;
 pub mod masking;
 pub mod ndf;
@@ -144,7 +146,7 @@ impl<L: Lanes> Directions<L> {
             inverse_camera: inverse,
             inverse_light: inverse,
             inverse_half: inverse,
-            fresnel: fresnel_spherical_gaussian_weight(L::splat(1.0)),
+            fresnel: L::splat(fresnel_spherical_gaussian_weight(1.0_f64)),
         }
     }
 
@@ -186,8 +188,13 @@ fn inverse_length<L: Lanes>(vector: [L; 3]) -> L {
 }
 
 #[inline(always)]
+fn widen<L: Lanes>(vector: [L; 3]) -> Wide3<L> {
+    [vector[0].widen(), vector[1].widen(), vector[2].widen()]
+}
+
+#[inline(always)]
 fn narrow<L: Lanes>(vector: Wide3<L>) -> [L; 3] {
-    vector.map(L::narrow)
+    [L::narrow(vector[0]), L::narrow(vector[1]), L::narrow(vector[2])]
 }
 
 /// Local frame and microfacet widths of a point: what the shading needs of the maps besides the albedos, once for all photos.
@@ -212,20 +219,25 @@ impl<L: Lanes, const ANISOTROPIC: bool> Frame<L, ANISOTROPIC> {
     #[inline(always)]
     pub(crate) fn new(surface: &Surface<L>) -> Self {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
-        let stored_normal = surface.normal.map(L::widen);
+        let stored_normal = widen(surface.normal);
         let inverse_normal = inverse_length(surface.normal);
         let normal = scale(surface.normal, inverse_normal);
 
         let minimum = L::splat(ROUGHNESS_MIN);
-        let roughness = surface.roughness.map(|roughness| roughness.max(minimum));
-        let roughness_free = surface.roughness.map(|roughness| L::select(minimum.gt(roughness), zero, one));
+        // Comparisons are written so that NaN in a map comes out as NaN instead of as the replacement.
+        let (mut roughness, mut roughness_free) = ([zero; 2], [zero; 2]);
+        for i in 0..2 {
+            let sharp = minimum.gt(surface.roughness[i]);
+            roughness[i] = L::select(sharp, minimum, surface.roughness[i]);
+            roughness_free[i] = L::select(sharp, zero, one);
+        }
 
         let mut frame = Self {
             stored_normal,
             inverse_normal,
             normal,
             roughness,
-            alpha: roughness.map(|roughness| roughness * roughness),
+            alpha: [roughness[0] * roughness[0], roughness[1] * roughness[1]],
             roughness_free,
             tangent: [zero; 3],
             bitangent: [zero; 3],
@@ -233,16 +245,19 @@ impl<L: Lanes, const ANISOTROPIC: bool> Frame<L, ANISOTROPIC> {
             turn_by_tangent: zero,
         };
         if ANISOTROPIC {
-            let product = narrow::<L>(cross(stored_normal, surface.tangent.map(L::widen)));
+            let product = narrow::<L>(cross(stored_normal, widen(surface.tangent)));
             let product2 = dot(product, product);
             let parallel =
                 L::splat(1e-10) * dot(surface.normal, surface.normal) * dot(surface.tangent, surface.tangent);
-            let good = product2.gt(parallel);
+            let good = !parallel.ge(product2);
             let [x, y, z] = normal;
             let steep = x.abs().gt(L::splat(0.8));
             // n x (1, 0, 0), or n x (0, 1, 0) where the normal is near x.
-            let spare = [L::select(steep, -z, zero), L::select(steep, zero, z), L::select(steep, x, -y)];
-            let bitangent: [L; 3] = std::array::from_fn(|i| L::select(good, product[i], spare[i]));
+            let bitangent = [
+                L::select(good, product[0], L::select(steep, -z, zero)),
+                L::select(good, product[1], L::select(steep, zero, z)),
+                L::select(good, product[2], L::select(steep, x, -y)),
+            ];
             frame.bitangent = scale(bitangent, inverse_length(bitangent));
             frame.tangent = cross(frame.bitangent, normal);
             let inverse_tangent = one / (L::select(good, product2, one).sqrt() * inverse_normal);
@@ -257,6 +272,23 @@ impl<L: Lanes, const ANISOTROPIC: bool> Frame<L, ANISOTROPIC> {
     fn local(&self, direction: [L; 3], cosine: L) -> [L; 3] {
         [dot(direction, self.tangent), dot(direction, self.bitangent), cosine]
     }
+}
+
+/// What a function with the derivatives `slope` by a direction's components (tangent, bitangent, normal) gains when the frame turns:
+/// n towards t, n towards b, t towards b. A turn of a towards b takes b to -a.
+#[inline(always)]
+fn turns<L: Lanes>(slope: [L; 3], direction: [L; 3]) -> [L; 3] {
+    let [t, b, n] = direction;
+    [slope[2] * t - slope[0] * n, slope[2] * b - slope[1] * n, slope[0] * b - slope[1] * t]
+}
+
+#[inline(always)]
+fn add3<L: Lanes, const N: usize>(a: [L; N], b: [L; N], c: [L; N]) -> [L; N] {
+    let mut sum = a;
+    for i in 0..N {
+        sum[i] = a[i] + b[i] + c[i];
+    }
+    sum
 }
 
 /// How a point answers to one light and camera.
@@ -289,7 +321,7 @@ impl<L: Lanes> Response<L> {
         let (zero, one, two) = (L::splat(0.0), L::splat(1.0), L::splat(2.0));
         let n_dot_v = L::narrow(dot(frame.stored_normal, to.camera)) * (frame.inverse_normal * to.inverse_camera);
         let n_dot_l = L::narrow(dot(frame.stored_normal, to.light)) * (frame.inverse_normal * to.inverse_light);
-        let visible = n_dot_v.gt(zero) & n_dot_l.gt(zero);
+        let visible = !(zero.ge(n_dot_v) | zero.ge(n_dot_l));
         let n_dot_v = L::select(visible, n_dot_v, one);
         let n_dot_l = L::select(visible, n_dot_l, one);
         let view_dir = scale(narrow::<L>(to.camera), to.inverse_camera);
@@ -311,23 +343,18 @@ impl<L: Lanes> Response<L> {
             let per_cosine = d.value * masking.value * shadowing.value;
             lobe = per_cosine * n_dot_l;
 
-            // Turning n towards t takes t to -n, and likewise b; turning t towards b takes b to -t.
-            let turn = |slope: [L; 3], u: [L; 3], from: usize, to: usize| slope[to] * u[from] - slope[from] * u[to];
             let mut light_slope = shadowing.d_direction;
             light_slope[2] = zero;
-            let along = |from: usize, to: usize| {
-                turn(d.d_half, half, from, to)
-                    + turn(masking.d_direction, view, from, to)
-                    + turn(light_slope, light, from, to)
-            };
+            let [tangent_slope, bitangent_slope, turn_slope] =
+                add3(turns(d.d_half, half), turns(masking.d_direction, view), turns(light_slope, light));
             let normal_slope = per_cosine * shadowing.d_with_cosine;
-            let by_t = lobe.mul_add(along(0, 2), normal_slope * light[0]);
-            let by_b = lobe.mul_add(along(1, 2), normal_slope * light[1]);
+            let by_t = lobe.mul_add(tangent_slope, normal_slope * light[0]);
+            let by_b = lobe.mul_add(bitangent_slope, normal_slope * light[1]);
             lobe_by_normal = add_scaled(frame.tangent, by_t, scale(frame.bitangent, by_b));
-            lobe_by_turn = lobe * along(1, 0);
-            lobe_by_roughness = std::array::from_fn(|i| {
-                lobe * (d.d_ln_alpha[i] + masking.d_ln_alpha[i] + shadowing.d_ln_alpha[i]) * two / frame.roughness[i]
-            });
+            lobe_by_turn = lobe * turn_slope;
+            let by_ln_alpha = add3(d.d_ln_alpha, masking.d_ln_alpha, shadowing.d_ln_alpha);
+            lobe_by_roughness =
+                [lobe * by_ln_alpha[0] * two / frame.roughness[0], lobe * by_ln_alpha[1] * two / frame.roughness[1]];
         } else {
             let (roughness, alpha) = (frame.roughness[0], frame.alpha[0]);
             let d = ndf_ggx(sin2, alpha);
@@ -361,11 +388,13 @@ impl<L: Lanes> Response<L> {
     /// The radiance, given the light's intensity.
     #[inline(always)]
     pub(crate) fn radiance(&self, surface: &Surface<L>, intensity: [L; 3]) -> [L; 3] {
-        std::array::from_fn(|c| {
-            let diffuse =
-                surface.diffuse[c] * (L::splat(1.0) - surface.specular[c]) * L::splat(std::f64::consts::FRAC_1_PI);
-            diffuse.mul_add(self.cosine, self.fresnel_of(surface, c) * self.lobe) * (intensity[c] * self.falloff)
-        })
+        let mut radiance = [L::splat(0.0); 3];
+        for c in 0..3 {
+            let albedo = surface.diffuse[c] * (L::splat(1.0) - surface.specular[c]);
+            let lambert = albedo * L::splat(std::f64::consts::FRAC_1_PI) * self.cosine;
+            radiance[c] = self.fresnel_of(surface, c).mul_add(self.lobe, lambert) * (intensity[c] * self.falloff);
+        }
+        radiance
     }
 
     #[inline(always)]
@@ -396,8 +425,8 @@ impl<L: Lanes> FrameGradient<L> {
     pub(crate) fn add(&mut self, surface: &Surface<L>, response: &Response<L>, weight: [L; 3]) {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
         let (mut by_cosine, mut by_lobe) = (zero, zero);
-        for (c, &weight) in weight.iter().enumerate() {
-            let weight = weight * response.falloff;
+        for c in 0..3 {
+            let weight = weight[c] * response.falloff;
             let rest = one - surface.specular[c];
             let lambert = response.cosine * L::splat(std::f64::consts::FRAC_1_PI);
             self.diffuse[c] = (weight * rest).mul_add(lambert, self.diffuse[c]);
@@ -409,8 +438,8 @@ impl<L: Lanes> FrameGradient<L> {
         let by_cosine = by_cosine * L::splat(std::f64::consts::FRAC_1_PI);
         self.normal =
             add_scaled(response.cosine_by_normal, by_cosine, add_scaled(response.lobe_by_normal, by_lobe, self.normal));
-        for (sum, slope) in self.roughness.iter_mut().zip(response.lobe_by_roughness) {
-            *sum = by_lobe.mul_add(slope, *sum);
+        for i in 0..2 {
+            self.roughness[i] = by_lobe.mul_add(response.lobe_by_roughness[i], self.roughness[i]);
         }
         self.turn = by_lobe.mul_add(response.lobe_by_turn, self.turn);
     }
@@ -426,7 +455,7 @@ impl<L: Lanes> FrameGradient<L> {
         Surface {
             diffuse: self.diffuse,
             normal: scale(normal, frame.inverse_normal),
-            roughness: std::array::from_fn(|i| self.roughness[i] * frame.roughness_free[i]),
+            roughness: [self.roughness[0] * frame.roughness_free[0], self.roughness[1] * frame.roughness_free[1]],
             specular: self.specular,
             tangent: scale(frame.bitangent, self.turn * frame.turn_by_tangent),
         }
