@@ -357,3 +357,195 @@ impl Lanes for F32x8 {
         value.scale(avx2!(_mm256_cvtps_epi32(whole.0)))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Applies a function to every value of a slice, in bundles.
+    struct Apply<'a> {
+        function: Function,
+        values: &'a mut [f32],
+    }
+
+    #[derive(Clone, Copy, Debug)]
+    enum Function {
+        Exp2,
+        Log2,
+        Pow(f64),
+        Arithmetic,
+    }
+
+    impl Kernel<f32> for Apply<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run<L: Lanes<Scalar = f32>>(self) {
+            for values in self.values.chunks_mut(L::LANES) {
+                let x = L::load(values);
+                let result = match self.function {
+                    Function::Exp2 => x.exp2(),
+                    Function::Log2 => x.log2(),
+                    Function::Pow(exponent) => x.pow(exponent),
+                    Function::Arithmetic => arithmetic(x),
+                };
+                result.store(values);
+            }
+        }
+    }
+
+    /// Every operation whose result must be the scalar's to the last bit.
+    #[inline(always)]
+    fn arithmetic<L: Lanes>(x: L) -> L {
+        let two = L::splat(2.0);
+        let y = (x + two) * x - two / (x.abs() + L::splat(0.5)).sqrt();
+        let z = L::select(x.gt(y) | !y.ge(two), -y, y).max(L::splat(-3.0)).min(L::splat(1e30));
+        let wide = (z.widen() * L::Wide::splat(1.1) + -x.widen()).sqrt();
+        L::narrow(wide + x.widen() - L::Wide::splat(0.1))
+    }
+
+    fn in_bundles(function: Function, values: &[f32]) -> Option<Vec<f32>> {
+        let mut values = values.to_vec();
+        run(Apply { function, values: &mut values }).ok().map(|()| values)
+    }
+
+    /// Values that fill the range of floats, with their neighbours.
+    fn spread(low: f32, high: f32, count: u32) -> Vec<f32> {
+        let (low, high) = (u64::from(low.to_bits()), u64::from(high.to_bits()));
+        (0..=u64::from(count)).map(|i| f32::from_bits((low + (high - low) * i / u64::from(count)) as u32)).collect()
+    }
+
+    #[test]
+    fn arithmetic_is_that_of_scalars() {
+        let mut values = spread(1e-30, 1e30, 100_000);
+        values.extend(values.clone().iter().map(|x| -x));
+        values.extend([0.0, -0.0, f32::INFINITY, f32::NEG_INFINITY, f32::NAN]);
+        let Some(got) = in_bundles(Function::Arithmetic, &values) else { return };
+        for (x, got) in values.into_iter().zip(got) {
+            let expected = arithmetic(x);
+            assert!(got.to_bits() == expected.to_bits() || got.is_nan() && expected.is_nan(), "{x} {got} {expected}");
+        }
+    }
+
+    #[test]
+    fn loads_fill_up_and_stores_stop() {
+        for len in 0..20 {
+            let values: Vec<f32> = (0..len).map(|i| i as f32 + 1.0).collect();
+            let Some(got) = in_bundles(Function::Exp2, &values) else { return };
+            for (x, got) in values.iter().zip(&got) {
+                assert_eq!(x.exp2(), *got);
+            }
+            assert_eq!(got.len(), len);
+        }
+    }
+
+    struct Bits<'a> {
+        bytes: &'a [u8],
+        bit: u32,
+    }
+
+    impl Kernel<f32> for Bits<'_> {
+        type Output = [f32; 8];
+
+        #[inline(always)]
+        fn run<L: Lanes<Scalar = f32>>(self) -> [f32; 8] {
+            let mut out = [0.0; 8];
+            L::select(L::bits_set(self.bytes, self.bit), L::splat(1.0), L::splat(0.0)).store(&mut out);
+            out
+        }
+    }
+
+    #[test]
+    fn bits_of_bytes_become_masks() {
+        let bytes = [0, 1, 2, 3, 0x80, 0xff, 7, 4];
+        for len in 0..=8 {
+            for bit in 0..8 {
+                let Ok(got) = run(Bits { bytes: &bytes[..len], bit }) else { return };
+                let expected: [f32; 8] =
+                    std::array::from_fn(|i| if i < len && bytes[i] >> bit & 1 == 1 { 1.0 } else { 0.0 });
+                assert_eq!(got, expected);
+            }
+        }
+    }
+
+    #[test]
+    fn wide_values_load_and_sum_in_order() {
+        struct Sum<'a>(&'a [f64]);
+        impl Kernel<f32> for Sum<'_> {
+            type Output = f64;
+            #[inline(always)]
+            fn run<L: Lanes<Scalar = f32>>(self) -> f64 {
+                L::Wide::load(self.0).sum()
+            }
+        }
+        let Ok(sum) = run(Sum(&[1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 1e9])) else { return };
+        assert_eq!(sum, 255.0);
+        assert!(matches!(run(Sum(&[1.0, 2.0, 4.0])), Ok(7.0)));
+    }
+
+    /// Largest relative error over `values`, against double precision.
+    fn worst(function: Function, values: &[f32], exact: impl Fn(f64) -> f64) -> Option<f64> {
+        let got = in_bundles(function, values)?;
+        let error = |(&x, got): (&f32, f32)| (f64::from(got) / exact(f64::from(x)) - 1.0).abs();
+        Some(values.iter().zip(got).map(error).fold(0.0, f64::max))
+    }
+
+    #[test]
+    fn powers_are_accurate() {
+        let values = spread(1e-30, 1e30, 1_000_000);
+        for exponent in [1.0 / 2.2, 0.1, 0.97, 1.2] {
+            let Some(worst) = worst(Function::Pow(exponent), &values, |x| x.powf(exponent)) else { return };
+            eprintln!("pow {exponent}: {worst:e}");
+            assert!(worst < 2e-7 * exponent.max(1.0), "{exponent} {worst:e}");
+        }
+        // What albedos and roughness are decoded with; above 0 they have to be, here far above the smallest result.
+        for exponent in [2.2, 2.4, 7.3] {
+            let Some(worst) = worst(Function::Pow(exponent), &spread(1e-5, 1e5, 1_000_000), |x| x.powf(exponent))
+            else {
+                return;
+            };
+            eprintln!("pow {exponent}: {worst:e}");
+            assert!(worst < 2e-7 * exponent.max(1.0), "{exponent} {worst:e}");
+        }
+    }
+
+    #[test]
+    fn powers_are_right_at_the_ends() {
+        let values = [0.0, -0.0, -1.0, 1e-44, f32::INFINITY, 1.0, f32::MIN_POSITIVE, f32::MAX];
+        let Some(got) = in_bundles(Function::Pow(2.2), &values) else { return };
+        assert_eq!(got, [0.0, 0.0, 0.0, 0.0, f32::INFINITY, 1.0, 0.0, f32::INFINITY]);
+        let got = in_bundles(Function::Pow(1.0 / 2.2), &values).unwrap();
+        assert_eq!(got[..6], [0.0, 0.0, 0.0, 0.0, f32::INFINITY, 1.0]);
+        assert!(in_bundles(Function::Pow(1.5), &[f32::NAN]).unwrap()[0].is_nan());
+        // The scalar forms agree.
+        for (x, exponent) in values.into_iter().flat_map(|x| [(x, 2.2), (x, 1.0 / 2.2)]) {
+            let bundled = in_bundles(Function::Pow(exponent), &[x]).unwrap()[0];
+            let scalar = Lanes::pow(x, exponent);
+            assert!(bundled == scalar || (bundled / scalar - 1.0).abs() < 2e-7, "{x} {exponent} {bundled} {scalar}");
+        }
+    }
+
+    #[test]
+    fn exponentials_are_accurate() {
+        let mut values = spread(1e-30, 127.99, 500_000);
+        values.extend(spread(1e-30, 126.0, 500_000).iter().map(|x| -x));
+        let Some(worst) = worst(Function::Exp2, &values, f64::exp2) else { return };
+        eprintln!("exp2: {worst:e}");
+        assert!(worst < 1.5e-7, "{worst:e}");
+        let got = in_bundles(Function::Exp2, &[128.0, 1e30, f32::INFINITY, -150.0, -1e30, f32::NEG_INFINITY]).unwrap();
+        assert_eq!(got, [f32::INFINITY, f32::INFINITY, f32::INFINITY, 0.0, 0.0, 0.0]);
+        assert!(in_bundles(Function::Exp2, &[f32::NAN]).unwrap()[0].is_nan());
+        assert_eq!(in_bundles(Function::Exp2, &[-140.0]).unwrap(), [2.0_f32.powi(-140)]);
+    }
+
+    #[test]
+    fn logarithms_are_accurate() {
+        let values = spread(f32::MIN_POSITIVE, f32::MAX, 1_000_000);
+        let Some(got) = in_bundles(Function::Log2, &values) else { return };
+        for (x, got) in values.into_iter().zip(got) {
+            let exact = f64::from(x).log2();
+            assert!((f64::from(got) - exact).abs() < (2e-7 * exact.abs()).max(1e-7), "{x} {got} {exact}");
+        }
+        assert_eq!(in_bundles(Function::Log2, &[1.0]).unwrap(), [0.0]);
+    }
+}

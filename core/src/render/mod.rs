@@ -306,8 +306,8 @@ impl<T: Real> RenderRows<'_, T> {
                     let (x, y) = self.grid.position::<L>(row, column + at);
                     let response = self.view.response(&frame, x, y);
                     let values = response.radiance(&surface, intensity);
-                    for c in 0..3 {
-                        radiance.store(c, at, values[c]);
+                    for (c, value) in values.into_iter().enumerate() {
+                        radiance.store(c, at, value);
                     }
                 }
                 radiance.write(self.out, (row - self.rows.start) * self.grid.width + column, len);
