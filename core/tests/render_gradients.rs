@@ -98,9 +98,9 @@ fn targets(lobe: Lobe, width: usize, height: usize, numbers: &mut Numbers) -> Ve
         .into_iter()
         .map(|shot| {
             let radiance = render_maps(&random_maps(lobe, width, height, numbers), PATCH, &shot).unwrap();
-            let encoded = radiance.into_iter().map(|r| encode_radiance(r.min(1.0)) as f32).collect();
-            let saturated = (0..width * height).map(|_| (numbers.next() * 8.0) as u8).collect();
-            Target::new(width, height, shot, encoded, saturated).unwrap()
+            let encoded: Vec<f32> = radiance.into_iter().map(|r| encode_radiance(r.min(1.0)) as f32).collect();
+            let saturated: Vec<u8> = (0..width * height).map(|_| (numbers.next() * 8.0) as u8).collect();
+            Target::new(width, height, shot, &encoded, &saturated).unwrap()
         })
         .collect()
 }
@@ -227,8 +227,8 @@ fn saturated_pixels_ask_for_no_less() {
     let maps = Maps::new(Lobe::Isotropic, 1, 1, vec![0.5, 0.5, 0.5, 0.0, 0.0, 1.0, 0.6, 0.04, 0.04, 0.04]).unwrap();
     let radiance = render_maps(&maps, 1.0, &shot).unwrap();
     let loss = |offset: f32, saturated: u8| {
-        let encoded = radiance.iter().map(|&r| encode_radiance(r) as f32 + offset).collect();
-        let target = Target::new(1, 1, shot, encoded, vec![saturated]).unwrap();
+        let encoded: Vec<f32> = radiance.iter().map(|&r| encode_radiance(r) as f32 + offset).collect();
+        let target = Target::new(1, 1, shot, &encoded, &[saturated]).unwrap();
         let mut gradient = maps.clone();
         (photo_loss(&maps, 1.0, &[target], Some(&mut gradient)).unwrap(), gradient)
     };
@@ -260,11 +260,11 @@ fn bad_arguments_are_named() {
         assert_eq!(name(render_maps(&maps, 1.0, &shot).unwrap_err()), "light_intensity");
     }
     assert_eq!(name(photo_loss(&maps, 1.0, &[], None).unwrap_err()), "targets");
-    let target = Target::new(2, 1, shot, vec![0.0; 6], vec![0; 2]).unwrap();
+    let target = Target::new(2, 1, shot, &[0.0; 6], &[0; 2]).unwrap();
     assert_eq!(name(photo_loss(&maps, 1.0, &[target], None).unwrap_err()), "target");
-    let target = Target::new(1, 1, shot, vec![0.0; 3], vec![0]).unwrap();
+    let target = Target::new(1, 1, shot, &[0.0; 3], &[0]).unwrap();
     let mut gradient = Maps::new(Lobe::Anisotropic, 1, 1, vec![0.0; 14]).unwrap();
     assert_eq!(name(photo_loss(&maps, 1.0, &[target], Some(&mut gradient)).unwrap_err()), "gradient");
-    assert_eq!(name(Target::new(1, 1, shot, vec![0.0; 2], vec![0]).unwrap_err()), "target");
-    assert_eq!(name(Target::new(1, 1, shot, vec![f32::NAN; 3], vec![0]).unwrap_err()), "target");
+    assert_eq!(name(Target::new(1, 1, shot, &[0.0; 2], &[0]).unwrap_err()), "target");
+    assert_eq!(name(Target::new(1, 1, shot, &[f32::NAN; 3], &[0]).unwrap_err()), "target");
 }

@@ -12,11 +12,13 @@
 //!
 //! # How it stays exact
 //! 1 - (n.h)^2 is |n x h|^2, (n.v)(n.l) of the denominator cancels against G, and the few products in which nearly equal numbers
-//! meet (n.v, n.l, n x h, n x t and the half vector) are formed in double precision from vectors that are not yet normalised.
+//! meet (the cosines, n x h, n x t and the half vector) are formed in double precision from vectors that are not yet normalised.
 //! All else is a chain of multiplications, divisions and sums of like signs, so single precision holds down to the smallest roughness.
 //!
 //! Everything stays finite while light intensity over squared distance is below 1e12.
 
+#[cfg(target_arch = "x86_64")]
+mod avx2;
 pub mod fresnel;
 pub mod masking;
 pub mod ndf;
@@ -117,17 +119,46 @@ fn shade_gradient<T: Real, const ANISOTROPIC: bool>(
     (response.radiance(surface, intensity), gradient.finish(&frame))
 }
 
+/// A direction as a vector of any length: it is normalised after the product in which it could cancel, not before.
+#[derive(Clone, Copy)]
+struct Direction<L: Lanes> {
+    vector: Wide3<L>,
+    /// One over the vector's length.
+    inverse_length: L,
+}
+
+impl<L: Lanes> Direction<L> {
+    #[inline(always)]
+    fn new(vector: Wide3<L>) -> Self {
+        let narrow = narrow::<L>(vector);
+        Self { vector, inverse_length: inverse(dot(narrow, narrow).sqrt()) }
+    }
+
+    /// The unit vector.
+    #[inline(always)]
+    fn unit(&self) -> [L; 3] {
+        scale(narrow::<L>(self.vector), self.inverse_length)
+    }
+
+    /// Cosine of the angle to `other`.
+    #[inline(always)]
+    fn cosine(&self, other: &Self) -> L {
+        L::narrow(dot(self.vector, other.vector)) * (self.inverse_length * other.inverse_length)
+    }
+
+    /// Cross product of the unit vectors.
+    #[inline(always)]
+    fn cross(&self, other: &Self) -> [L; 3] {
+        scale(narrow::<L>(cross(self.vector, other.vector)), self.inverse_length * other.inverse_length)
+    }
+}
+
 /// Where camera and light are seen from a point: all that the shading needs of a photo, and independent of the maps.
 #[derive(Clone, Copy)]
 pub(crate) struct Directions<L: Lanes> {
-    /// Vectors to camera and light and along the half vector, of any length.
-    camera: Wide3<L>,
-    light: Wide3<L>,
-    half: Wide3<L>,
-    /// One over their lengths.
-    inverse_camera: L,
-    inverse_light: L,
-    inverse_half: L,
+    camera: Direction<L>,
+    light: Direction<L>,
+    half: Direction<L>,
     /// Weight of white in the Fresnel term.
     fresnel: L,
 }
@@ -136,16 +167,9 @@ impl<L: Lanes> Directions<L> {
     /// Camera and light at the same place, `camera` away from the point.
     #[inline(always)]
     pub(crate) fn collocated(camera: Wide3<L>) -> Self {
-        let inverse = inverse_length(narrow::<L>(camera));
-        Self {
-            camera,
-            light: camera,
-            half: camera,
-            inverse_camera: inverse,
-            inverse_light: inverse,
-            inverse_half: inverse,
-            fresnel: fresnel_spherical_gaussian_weight(L::splat(1.0)),
-        }
+        let camera = Direction::new(camera);
+        let fresnel = L::splat(fresnel_spherical_gaussian_weight(1.0_f64));
+        Self { camera, light: camera, half: camera, fresnel }
     }
 
     /// Camera and light at the ends of two vectors from the point.
@@ -153,27 +177,22 @@ impl<L: Lanes> Directions<L> {
     pub(crate) fn separate(camera: Wide3<L>, light: Wide3<L>) -> Self {
         let camera_length = dot(camera, camera).sqrt();
         let light_length = dot(light, light).sqrt();
-        // v |l| + l |v| points along the half vector and is as long as |v + l| |v| |l| for unit v + l.
+        // v |l| + l |v| points along the half vector; its length is |v + l| |v| |l| for unit vectors v + l.
         let half = add_scaled(camera, light_length, scale(light, camera_length));
-        let inverse_camera = inverse(L::narrow(camera_length));
-        let inverse_light = inverse(L::narrow(light_length));
         let half_length = L::narrow(dot(half, half).sqrt());
+        let camera = Direction { vector: camera, inverse_length: inverse(L::narrow(camera_length)) };
+        let light = Direction { vector: light, inverse_length: inverse(L::narrow(light_length)) };
+        let half = Direction { vector: half, inverse_length: inverse(half_length) };
         // v.h = |v + l| / 2 for unit vectors.
-        let v_dot_h = (half_length * inverse_camera * inverse_light * L::splat(0.5)).min(L::splat(1.0));
-        Self {
-            camera,
-            light,
-            half,
-            inverse_camera,
-            inverse_light,
-            inverse_half: inverse(half_length),
-            fresnel: fresnel_spherical_gaussian_weight(v_dot_h),
-        }
+        let v_dot_h = half_length * camera.inverse_length * light.inverse_length * L::splat(0.5);
+        Self { camera, light, half, fresnel: fresnel_spherical_gaussian_weight(v_dot_h.min(L::splat(1.0))) }
     }
 }
 
 /// Shortest length a vector is divided by; what is shorter counts as 0.
 const LENGTH_MIN: f64 = 1e-15;
+/// Largest squared sine of the angle at which a tangent counts as parallel to the normal.
+const PARALLEL2: f64 = 1e-10;
 
 #[inline(always)]
 fn inverse<L: Lanes>(length: L) -> L {
@@ -181,29 +200,27 @@ fn inverse<L: Lanes>(length: L) -> L {
 }
 
 #[inline(always)]
-fn inverse_length<L: Lanes>(vector: [L; 3]) -> L {
-    inverse(dot(vector, vector).sqrt())
+fn widen<L: Lanes>(vector: [L; 3]) -> Wide3<L> {
+    [vector[0].widen(), vector[1].widen(), vector[2].widen()]
 }
 
 #[inline(always)]
 fn narrow<L: Lanes>(vector: Wide3<L>) -> [L; 3] {
-    vector.map(L::narrow)
+    [L::narrow(vector[0]), L::narrow(vector[1]), L::narrow(vector[2])]
 }
 
 /// Local frame and microfacet widths of a point: what the shading needs of the maps besides the albedos, once for all photos.
 #[derive(Clone, Copy)]
 pub(crate) struct Frame<L: Lanes, const ANISOTROPIC: bool> {
-    stored_normal: Wide3<L>,
-    /// One over the length of the stored normal.
-    inverse_normal: L,
-    normal: [L; 3],
+    normal: Direction<L>,
+    tangent: Direction<L>,
+    bitangent: Direction<L>,
     /// Clamped roughness, its square, and 1 where it was not clamped, else 0.
     roughness: [L; 2],
     alpha: [L; 2],
     roughness_free: [L; 2],
-    tangent: [L; 3],
-    bitangent: [L; 3],
-    /// n.T / T.t and 1 / T.t of the stored tangent T: how far the frame turns about n when the normal or T move along b. 0 for a replaced tangent.
+    /// n.T / T.t and 1 / T.t of the stored tangent T: how far the frame turns about n when the normal or T move along b. 0 for a
+    /// replaced tangent.
     turn_by_normal: L,
     turn_by_tangent: L,
 }
@@ -212,51 +229,72 @@ impl<L: Lanes, const ANISOTROPIC: bool> Frame<L, ANISOTROPIC> {
     #[inline(always)]
     pub(crate) fn new(surface: &Surface<L>) -> Self {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
-        let stored_normal = surface.normal.map(L::widen);
-        let inverse_normal = inverse_length(surface.normal);
-        let normal = scale(surface.normal, inverse_normal);
-
         let minimum = L::splat(ROUGHNESS_MIN);
-        let roughness = surface.roughness.map(|roughness| roughness.max(minimum));
-        let roughness_free = surface.roughness.map(|roughness| L::select(minimum.gt(roughness), zero, one));
-
+        // Comparisons are written so that NaN in a map comes out as NaN instead of as the replacement.
+        let (mut roughness, mut roughness_free) = ([zero; 2], [zero; 2]);
+        for i in 0..2 {
+            let sharp = minimum.gt(surface.roughness[i]);
+            roughness[i] = L::select(sharp, minimum, surface.roughness[i]);
+            roughness_free[i] = L::select(sharp, zero, one);
+        }
+        let normal = Direction::new(widen(surface.normal));
         let mut frame = Self {
-            stored_normal,
-            inverse_normal,
             normal,
+            tangent: normal,
+            bitangent: normal,
             roughness,
-            alpha: roughness.map(|roughness| roughness * roughness),
+            alpha: [roughness[0] * roughness[0], roughness[1] * roughness[1]],
             roughness_free,
-            tangent: [zero; 3],
-            bitangent: [zero; 3],
             turn_by_normal: zero,
             turn_by_tangent: zero,
         };
         if ANISOTROPIC {
-            let product = narrow::<L>(cross(stored_normal, surface.tangent.map(L::widen)));
-            let product2 = dot(product, product);
-            let parallel =
-                L::splat(1e-10) * dot(surface.normal, surface.normal) * dot(surface.tangent, surface.tangent);
-            let good = product2.gt(parallel);
-            let [x, y, z] = normal;
-            let steep = x.abs().gt(L::splat(0.8));
-            // n x (1, 0, 0), or n x (0, 1, 0) where the normal is near x.
-            let spare = [L::select(steep, -z, zero), L::select(steep, zero, z), L::select(steep, x, -y)];
-            let bitangent: [L; 3] = std::array::from_fn(|i| L::select(good, product[i], spare[i]));
-            frame.bitangent = scale(bitangent, inverse_length(bitangent));
-            frame.tangent = cross(frame.bitangent, normal);
-            let inverse_tangent = one / (L::select(good, product2, one).sqrt() * inverse_normal);
-            frame.turn_by_tangent = L::select(good, inverse_tangent, zero);
-            frame.turn_by_normal = frame.turn_by_tangent * dot(normal, surface.tangent);
+            let stored = surface.tangent;
+            let across = cross(surface.normal, stored);
+            let both = dot(surface.normal, surface.normal) * dot(stored, stored);
+            let good = !(L::splat(PARALLEL2) * both).ge(dot(across, across));
+            let [x, y] = {
+                let steep = (surface.normal[0].abs() * normal.inverse_length).gt(L::splat(0.8));
+                [L::select(steep, zero, one), L::select(steep, one, zero)]
+            };
+            let tangent =
+                [L::select(good, stored[0], x), L::select(good, stored[1], y), L::select(good, stored[2], zero)];
+            frame.bitangent = Direction::new(cross(normal.vector, widen(tangent)));
+            frame.tangent = Direction {
+                vector: cross(frame.bitangent.vector, normal.vector),
+                inverse_length: frame.bitangent.inverse_length * normal.inverse_length,
+            };
+            // T.t = |n x T|.
+            let length = dot(surface.normal, surface.normal) * normal.inverse_length;
+            frame.turn_by_tangent = L::select(good, frame.bitangent.inverse_length * length, zero);
+            frame.turn_by_normal =
+                frame.turn_by_tangent * L::narrow(dot(normal.vector, widen(stored))) * normal.inverse_length;
         }
         frame
     }
 
-    /// A unit vector in the frame (tangent, bitangent, normal), given its cosine.
+    /// The unit vector of a direction in the frame (tangent, bitangent, normal), given its cosine.
     #[inline(always)]
-    fn local(&self, direction: [L; 3], cosine: L) -> [L; 3] {
-        [dot(direction, self.tangent), dot(direction, self.bitangent), cosine]
+    fn local(&self, direction: &Direction<L>, cosine: L) -> [L; 3] {
+        [direction.cosine(&self.tangent), direction.cosine(&self.bitangent), cosine]
     }
+}
+
+/// What a function with the derivatives `slope` by a direction's components (tangent, bitangent, normal) gains when the frame turns:
+/// n towards t, n towards b, t towards b. A turn of a towards b takes b to -a.
+#[inline(always)]
+fn turns<L: Lanes>(slope: [L; 3], direction: [L; 3]) -> [L; 3] {
+    let [t, b, n] = direction;
+    [slope[2] * t - slope[0] * n, slope[2] * b - slope[1] * n, slope[0] * b - slope[1] * t]
+}
+
+#[inline(always)]
+fn add3<L: Lanes, const N: usize>(a: [L; N], b: [L; N], c: [L; N]) -> [L; N] {
+    let mut sum = a;
+    for i in 0..N {
+        sum[i] = a[i] + b[i] + c[i];
+    }
+    sum
 }
 
 /// How a point answers to one light and camera.
@@ -287,59 +325,51 @@ impl<L: Lanes> Response<L> {
     #[inline(always)]
     pub(crate) fn new<const ANISOTROPIC: bool>(frame: &Frame<L, ANISOTROPIC>, to: &Directions<L>) -> Self {
         let (zero, one, two) = (L::splat(0.0), L::splat(1.0), L::splat(2.0));
-        let n_dot_v = L::narrow(dot(frame.stored_normal, to.camera)) * (frame.inverse_normal * to.inverse_camera);
-        let n_dot_l = L::narrow(dot(frame.stored_normal, to.light)) * (frame.inverse_normal * to.inverse_light);
-        let visible = n_dot_v.gt(zero) & n_dot_l.gt(zero);
+        let n_dot_v = frame.normal.cosine(&to.camera);
+        let n_dot_l = frame.normal.cosine(&to.light);
+        let visible = !(zero.ge(n_dot_v) | zero.ge(n_dot_l));
         let n_dot_v = L::select(visible, n_dot_v, one);
         let n_dot_l = L::select(visible, n_dot_l, one);
-        let view_dir = scale(narrow::<L>(to.camera), to.inverse_camera);
-        let light_dir = scale(narrow::<L>(to.light), to.inverse_light);
-        let half_vector = scale(narrow::<L>(to.half), to.inverse_half);
-        let n_cross_h = scale(narrow::<L>(cross(frame.stored_normal, to.half)), frame.inverse_normal * to.inverse_half);
-        let sin2 = dot(n_cross_h, n_cross_h);
+        let light_dir = to.light.unit();
 
         let (lobe, lobe_by_normal, lobe_by_roughness, lobe_by_turn);
         if ANISOTROPIC {
-            let n_dot_h = dot(frame.normal, half_vector);
-            // h.t = b.(n x h), h.b = -t.(n x h): small where h is near n, and exact there.
-            let half = [dot(frame.bitangent, n_cross_h), -dot(frame.tangent, n_cross_h), n_dot_h];
-            let view = frame.local(view_dir, n_dot_v);
-            let light = frame.local(light_dir, n_dot_l);
+            // Replaced like the other cosines: it is all that keeps the denominator from 0 where the normal or the half vector is.
+            let n_dot_h = L::select(visible, frame.normal.cosine(&to.half), one);
+            let half = frame.local(&to.half, n_dot_h);
+            let view = frame.local(&to.camera, n_dot_v);
+            let light = frame.local(&to.light, n_dot_l);
             let d = ndf_ggx_anisotropic(half, frame.alpha);
             let masking = masking_g1_smith_anisotropic(view, frame.alpha);
             let shadowing = masking_g1_smith_anisotropic(light, frame.alpha);
             let per_cosine = d.value * masking.value * shadowing.value;
             lobe = per_cosine * n_dot_l;
 
-            // Turning n towards t takes t to -n, and likewise b; turning t towards b takes b to -t.
-            let turn = |slope: [L; 3], u: [L; 3], from: usize, to: usize| slope[to] * u[from] - slope[from] * u[to];
             let mut light_slope = shadowing.d_direction;
             light_slope[2] = zero;
-            let along = |from: usize, to: usize| {
-                turn(d.d_half, half, from, to)
-                    + turn(masking.d_direction, view, from, to)
-                    + turn(light_slope, light, from, to)
-            };
+            let [tangent_slope, bitangent_slope, turn_slope] =
+                add3(turns(d.d_half, half), turns(masking.d_direction, view), turns(light_slope, light));
             let normal_slope = per_cosine * shadowing.d_with_cosine;
-            let by_t = lobe.mul_add(along(0, 2), normal_slope * light[0]);
-            let by_b = lobe.mul_add(along(1, 2), normal_slope * light[1]);
-            lobe_by_normal = add_scaled(frame.tangent, by_t, scale(frame.bitangent, by_b));
-            lobe_by_turn = lobe * along(1, 0);
-            lobe_by_roughness = std::array::from_fn(|i| {
-                lobe * (d.d_ln_alpha[i] + masking.d_ln_alpha[i] + shadowing.d_ln_alpha[i]) * two / frame.roughness[i]
-            });
+            let by_t = lobe.mul_add(tangent_slope, normal_slope * light[0]);
+            let by_b = lobe.mul_add(bitangent_slope, normal_slope * light[1]);
+            lobe_by_normal = add_scaled(frame.tangent.unit(), by_t, scale(frame.bitangent.unit(), by_b));
+            lobe_by_turn = lobe * turn_slope;
+            let by_ln_alpha = add3(d.d_ln_alpha, masking.d_ln_alpha, shadowing.d_ln_alpha);
+            lobe_by_roughness =
+                [lobe * by_ln_alpha[0] * two / frame.roughness[0], lobe * by_ln_alpha[1] * two / frame.roughness[1]];
         } else {
             let (roughness, alpha) = (frame.roughness[0], frame.alpha[0]);
-            let d = ndf_ggx(sin2, alpha);
+            let n_cross_h = frame.normal.cross(&to.half);
+            let d = ndf_ggx(dot(n_cross_h, n_cross_h), alpha);
             let visibility = visibility_schlick(n_dot_v, n_dot_l, L::splat(0.5) * alpha);
             let per_cosine = d.value * visibility.value;
             lobe = per_cosine * n_dot_l;
             // d |n x h|^2 / d n = 2 h x (n x h).
-            let by_half = scale(cross(half_vector, n_cross_h), two * d.d_sin2);
+            let by_half = scale(cross(to.half.unit(), n_cross_h), two * d.d_sin2);
             lobe_by_normal = add_scaled(
                 light_dir,
                 per_cosine * visibility.d_n_dot_l,
-                scale(add_scaled(view_dir, visibility.d_n_dot_v, by_half), lobe),
+                scale(add_scaled(to.camera.unit(), visibility.d_n_dot_v, by_half), lobe),
             );
             // d ln alpha / d roughness = 2 / roughness, d k / d roughness = roughness.
             let by_roughness = visibility.d_k.mul_add(roughness, two * d.d_ln_alpha / roughness);
@@ -350,7 +380,7 @@ impl<L: Lanes> Response<L> {
             cosine: L::select(visible, n_dot_l, zero),
             lobe: L::select(visible, lobe, zero),
             fresnel: to.fresnel,
-            falloff: L::select(visible, to.inverse_light * to.inverse_light, zero),
+            falloff: L::select(visible, to.light.inverse_length * to.light.inverse_length, zero),
             cosine_by_normal: light_dir,
             lobe_by_normal,
             lobe_by_roughness,
@@ -361,11 +391,13 @@ impl<L: Lanes> Response<L> {
     /// The radiance, given the light's intensity.
     #[inline(always)]
     pub(crate) fn radiance(&self, surface: &Surface<L>, intensity: [L; 3]) -> [L; 3] {
-        std::array::from_fn(|c| {
-            let diffuse =
-                surface.diffuse[c] * (L::splat(1.0) - surface.specular[c]) * L::splat(std::f64::consts::FRAC_1_PI);
-            diffuse.mul_add(self.cosine, self.fresnel_of(surface, c) * self.lobe) * (intensity[c] * self.falloff)
-        })
+        let mut radiance = [L::splat(0.0); 3];
+        for c in 0..3 {
+            let albedo = surface.diffuse[c] * (L::splat(1.0) - surface.specular[c]);
+            let lambert = albedo * L::splat(std::f64::consts::FRAC_1_PI) * self.cosine;
+            radiance[c] = self.fresnel_of(surface, c).mul_add(self.lobe, lambert) * (intensity[c] * self.falloff);
+        }
+        radiance
     }
 
     #[inline(always)]
@@ -396,8 +428,8 @@ impl<L: Lanes> FrameGradient<L> {
     pub(crate) fn add(&mut self, surface: &Surface<L>, response: &Response<L>, weight: [L; 3]) {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
         let (mut by_cosine, mut by_lobe) = (zero, zero);
-        for (c, &weight) in weight.iter().enumerate() {
-            let weight = weight * response.falloff;
+        for c in 0..3 {
+            let weight = weight[c] * response.falloff;
             let rest = one - surface.specular[c];
             let lambert = response.cosine * L::splat(std::f64::consts::FRAC_1_PI);
             self.diffuse[c] = (weight * rest).mul_add(lambert, self.diffuse[c]);
@@ -409,8 +441,8 @@ impl<L: Lanes> FrameGradient<L> {
         let by_cosine = by_cosine * L::splat(std::f64::consts::FRAC_1_PI);
         self.normal =
             add_scaled(response.cosine_by_normal, by_cosine, add_scaled(response.lobe_by_normal, by_lobe, self.normal));
-        for (sum, slope) in self.roughness.iter_mut().zip(response.lobe_by_roughness) {
-            *sum = by_lobe.mul_add(slope, *sum);
+        for i in 0..2 {
+            self.roughness[i] = by_lobe.mul_add(response.lobe_by_roughness[i], self.roughness[i]);
         }
         self.turn = by_lobe.mul_add(response.lobe_by_turn, self.turn);
     }
@@ -418,17 +450,21 @@ impl<L: Lanes> FrameGradient<L> {
     /// The gradient with respect to what is stored: through the normalisations and the clamp of the roughness.
     #[inline(always)]
     pub(crate) fn finish<const ANISOTROPIC: bool>(self, frame: &Frame<L, ANISOTROPIC>) -> Surface<L> {
-        let mut normal = add_scaled(frame.normal, -dot(frame.normal, self.normal), self.normal);
+        let unit = frame.normal.unit();
+        let mut normal = add_scaled(unit, -dot(unit, self.normal), self.normal);
+        let mut tangent = [L::splat(0.0); 3];
         if ANISOTROPIC {
             // Moving n along b with the stored tangent held turns the tangent by -n.T / T.t.
-            normal = add_scaled(frame.bitangent, -self.turn * frame.turn_by_normal, normal);
+            let bitangent = frame.bitangent.unit();
+            normal = add_scaled(bitangent, -self.turn * frame.turn_by_normal, normal);
+            tangent = scale(bitangent, self.turn * frame.turn_by_tangent);
         }
         Surface {
             diffuse: self.diffuse,
-            normal: scale(normal, frame.inverse_normal),
-            roughness: std::array::from_fn(|i| self.roughness[i] * frame.roughness_free[i]),
+            normal: scale(normal, frame.normal.inverse_length),
+            roughness: [self.roughness[0] * frame.roughness_free[0], self.roughness[1] * frame.roughness_free[1]],
             specular: self.specular,
-            tangent: scale(frame.bitangent, self.turn * frame.turn_by_tangent),
+            tangent,
         }
     }
 }

@@ -59,14 +59,14 @@ pub struct GgxAnisotropic<L> {
 #[inline(always)]
 pub fn ndf_ggx_anisotropic<L: Lanes>(half: [L; 3], alpha: [L; 2]) -> GgxAnisotropic<L> {
     let one = L::splat(1.0);
-    let inverse_alpha = alpha.map(|a| one / a);
+    let inverse_alpha = [one / alpha[0], one / alpha[1]];
     let (x, y) = (half[0] * inverse_alpha[0], half[1] * inverse_alpha[1]);
     let inverse = one / x.mul_add(x, y.mul_add(y, half[2] * half[2]));
     let slope = L::splat(-4.0) * inverse;
-    let ln_alpha = |u: L| (L::splat(4.0) * u * u).mul_add(inverse, -one);
+    let four = L::splat(4.0);
     GgxAnisotropic {
         value: L::splat(std::f64::consts::FRAC_1_PI) * (inverse_alpha[0] * inverse) * (inverse_alpha[1] * inverse),
         d_half: [slope * x * inverse_alpha[0], slope * y * inverse_alpha[1], slope * half[2]],
-        d_ln_alpha: [ln_alpha(x), ln_alpha(y)],
+        d_ln_alpha: [(four * x * x).mul_add(inverse, -one), (four * y * y).mul_add(inverse, -one)],
     }
 }

@@ -37,6 +37,9 @@ pub trait Wide: Arithmetic {
     fn sum(self) -> f64;
 }
 
+/// Most elements of a bundle: padding to multiples of it lets a kernel read whole bundles only.
+pub const LANES_MAX: usize = 8;
+
 /// One or several numbers of one precision, computed on element by element.
 pub trait Lanes: Arithmetic + Div<Output = Self> {
     /// The type of the elements in memory.
@@ -45,8 +48,10 @@ pub trait Lanes: Arithmetic + Div<Output = Self> {
     type Wide: Wide;
     /// One truth value for each element.
     type Mask: Copy + BitAnd<Output = Self::Mask> + BitOr<Output = Self::Mask> + Not<Output = Self::Mask>;
-    /// Elements of a bundle.
+    /// Elements of a bundle; a power of two, at most [`LANES_MAX`].
     const LANES: usize;
+    /// Smallest positive number of the full precision, and the largest finite one.
+    const NORMAL_RANGE: [f64; 2];
 
     /// The first elements of `values`; missing ones are 0.
     fn load(values: &[Self::Scalar]) -> Self;
@@ -75,6 +80,9 @@ pub trait Lanes: Arithmetic + Div<Output = Self> {
     /// Where `self > other`; nowhere if one is NaN.
     fn gt(self, other: Self) -> Self::Mask;
 
+    /// Where `self >= other`; nowhere if one is NaN.
+    fn ge(self, other: Self) -> Self::Mask;
+
     /// Where bit `bit` of an element's byte is set; missing bytes are 0.
     fn bits_set(bytes: &[u8], bit: u32) -> Self::Mask;
 
@@ -87,9 +95,19 @@ pub trait Lanes: Arithmetic + Div<Output = Self> {
     /// Base-2 logarithm of a positive normal number: in single precision within 2e-7 relative or 1e-7 absolute, whichever is more.
     fn log2(self) -> Self;
 
-    /// `self^exponent` for positive normal `self` and a constant exponent of magnitude below 16; 0 gives 0 for a positive exponent.
-    /// Relative error below 3e-7 in single precision.
-    fn pow(self, exponent: f64) -> Self;
+    /// `self^exponent` for positive normal `self` and a constant exponent of magnitude below 16; any value for others.
+    /// Relative error below 2e-7, times the exponent where that is above 1, in single precision.
+    fn pow_normal(self, exponent: f64) -> Self;
+
+    /// `self^exponent` for a constant positive exponent below 16. What is below the normal range, negative numbers among it, gives 0.
+    /// Relative error below 2e-7, times the exponent where that is above 1, in single precision.
+    #[inline(always)]
+    fn pow(self, exponent: f64) -> Self {
+        let [smallest, largest] = [Self::splat(Self::NORMAL_RANGE[0]), Self::splat(Self::NORMAL_RANGE[1])];
+        let value = Self::select(self.ge(smallest), self.pow_normal(exponent), Self::splat(0.0));
+        // Infinity and NaN stay what they are.
+        Self::select(largest.ge(self), value, self)
+    }
 }
 
 /// The element types of maps: `f32`, on which users run, and `f64`, on which gradients are checked.
@@ -135,6 +153,7 @@ macro_rules! scalar {
             type Wide = f64;
             type Mask = bool;
             const LANES: usize = 1;
+            const NORMAL_RANGE: [f64; 2] = [$type::MIN_POSITIVE as f64, $type::MAX as f64];
 
             #[inline(always)]
             fn load(values: &[$type]) -> Self {
@@ -184,6 +203,11 @@ macro_rules! scalar {
             }
 
             #[inline(always)]
+            fn ge(self, other: Self) -> bool {
+                self >= other
+            }
+
+            #[inline(always)]
             fn bits_set(bytes: &[u8], bit: u32) -> bool {
                 bytes.first().is_some_and(|byte| byte >> bit & 1 == 1)
             }
@@ -204,8 +228,8 @@ macro_rules! scalar {
             }
 
             #[inline(always)]
-            fn pow(self, exponent: f64) -> Self {
-                self.powf(exponent as $type)
+            fn pow_normal(self, exponent: f64) -> Self {
+                (self as f64).powf(exponent) as $type
             }
         }
     };
@@ -228,6 +252,11 @@ impl Wide for f64 {
 
 impl Real for f32 {
     fn run<K: Kernel<f32>>(kernel: K) -> K::Output {
+        #[cfg(target_arch = "x86_64")]
+        let kernel = match super::avx2::run(kernel) {
+            Ok(output) => return output,
+            Err(kernel) => kernel,
+        };
         kernel.run::<f32>()
     }
 
@@ -261,7 +290,7 @@ pub(crate) fn cross<A: Arithmetic>(a: [A; 3], b: [A; 3]) -> [A; 3] {
 /// `vector * factor`.
 #[inline(always)]
 pub(crate) fn scale<A: Arithmetic>(vector: [A; 3], factor: A) -> [A; 3] {
-    vector.map(|component| component * factor)
+    [vector[0] * factor, vector[1] * factor, vector[2] * factor]
 }
 
 /// `a * factor + b`.

@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::{Grid, View, load_surface, planes, split_planes, store_surface};
+use super::{Grid, TILE, Tile, View, padded, planes, split_planes};
 use crate::brdf::real::{Arithmetic, Kernel, Lanes, Real, Wide};
-use crate::brdf::{Frame, FrameGradient, Response, Surface};
+use crate::brdf::{Frame, FrameGradient};
 use crate::capture::{Photo, Shot};
 use crate::error::{Error, Result};
 use crate::maps::{Lobe, Maps};
@@ -34,10 +34,10 @@ pub(crate) fn encode<L: Lanes>(radiance: L) -> (L, L) {
     let square = L::splat((1.0 / GAMMA - 1.0) * top / (TOE * TOE));
     let low = radiance.max(L::splat(0.0)).min(toe);
     let high = radiance.max(toe);
-    let power = high.pow(1.0 / GAMMA);
+    let power = high.pow_normal(1.0 / GAMMA);
     let above = radiance.gt(toe);
     let value = L::select(above, power, low.mul_add(square, linear) * radiance);
-    let slope = L::select(above, L::splat(1.0 / GAMMA) * power / high, (low + low).mul_add(square, linear));
+    let slope = L::select(above, power * (L::splat(1.0 / GAMMA) / high), (low + low).mul_add(square, linear));
     (value, slope)
 }
 
@@ -47,7 +47,9 @@ pub struct Target {
     width: usize,
     height: usize,
     shot: Shot,
+    /// (height, 3, padded width): the channels of a row follow each other, for the reason that [`Tile`] states.
     encoded: Vec<f32>,
+    /// (height, padded width).
     saturated: Vec<u8>,
 }
 
@@ -57,7 +59,7 @@ impl Target {
     ///
     /// # Errors
     /// [`Error::ShapeMismatch`] if the lengths do not fit; [`Error::InvalidArgument`] if a value is not finite.
-    pub fn new(width: usize, height: usize, shot: Shot, encoded: Vec<f32>, saturated: Vec<u8>) -> Result<Self> {
+    pub fn new(width: usize, height: usize, shot: Shot, encoded: &[f32], saturated: &[u8]) -> Result<Self> {
         let pixels = width.saturating_mul(height);
         if encoded.is_empty() || pixels.checked_mul(3) != Some(encoded.len()) || saturated.len() != pixels {
             return Err(Error::shape(
@@ -69,7 +71,16 @@ impl Target {
         if let Some(value) = encoded.iter().find(|value| !value.is_finite()) {
             return Err(Error::invalid("target", format!("expected finite values, got {value}")));
         }
-        Ok(Self { width, height, shot, encoded, saturated })
+        let stride = padded(width);
+        let mut rows = vec![0.0; 3 * height * stride];
+        for (i, row) in rows.chunks_exact_mut(stride).enumerate() {
+            row[..width].copy_from_slice(&encoded[((i % 3) * height + i / 3) * width..][..width]);
+        }
+        let mut flags = vec![0; height * stride];
+        for (row, source) in flags.chunks_exact_mut(stride).zip(saturated.chunks_exact(width)) {
+            row[..width].copy_from_slice(source);
+        }
+        Ok(Self { width, height, shot, encoded: rows, saturated: flags })
     }
 
     /// A target from a photo in linear RGB.
@@ -81,8 +92,8 @@ impl Target {
         if image.channels() != 3 {
             return Err(Error::shape(photo.name.as_str(), "3 channels", format!("{}", image.channels())));
         }
-        let encoded = image.to_planar().into_iter().map(encode_radiance).collect();
-        Self::new(image.width(), image.height(), photo.shot, encoded, photo.saturated.clone())
+        let encoded: Vec<f32> = image.to_planar().into_iter().map(encode_radiance).collect();
+        Self::new(image.width(), image.height(), photo.shot, &encoded, &photo.saturated)
     }
 
     /// Columns.
@@ -100,14 +111,22 @@ impl Target {
         &self.shot
     }
 
-    /// Three planes (R, G, B) of encoded values.
-    pub fn encoded(&self) -> &[f32] {
-        &self.encoded
-    }
-
-    /// One byte per pixel; bit c is set where channel c is saturated.
-    pub fn saturated(&self) -> &[u8] {
-        &self.saturated
+    /// Sum over channels of the squared errors of the pixels from `column` on, and half its derivatives by the radiance.
+    #[inline(always)]
+    fn compare<L: Lanes>(&self, row: usize, column: usize, radiance: [L; 3]) -> (L, [L; 3]) {
+        let zero = L::splat(0.0);
+        let stride = padded(self.width);
+        let flags = &self.saturated[row * stride + column..][..L::LANES];
+        let (mut squares, mut slopes) = (zero, [zero; 3]);
+        for c in 0..3 {
+            let (encoded, slope) = encode(radiance[c]);
+            let photo = L::load_f32(&self.encoded[(row * 3 + c) * stride + column..][..L::LANES]);
+            let error = encoded - photo;
+            let error = L::select(L::bits_set(flags, c as u32), error.min(zero), error);
+            squares = error.mul_add(error, squares);
+            slopes[c] = error * slope;
+        }
+        (squares, slopes)
     }
 }
 
@@ -185,61 +204,43 @@ impl<T: Real, const GRADIENT: bool> LossRows<'_, T, GRADIENT> {
     fn rows<L: Lanes<Scalar = T>, const ANISOTROPIC: bool>(self) -> f64 {
         let Job { grid, views, maps, weight } = *self.job;
         let planes = planes(maps);
-        let pixels = maps.width() * maps.height();
-        let start = self.rows.start * grid.width;
         let weight = L::splat(2.0 * weight);
+        let (mut tile, mut slopes) = (Tile::new(), Tile::new());
         let mut sum = L::Wide::splat(0.0);
-        for row in self.rows {
-            let y = L::Wide::splat(grid.y[row]);
-            for column in (0..grid.width).step_by(L::LANES) {
-                let end = (column + L::LANES).min(grid.width);
-                let range = row * grid.width + column..row * grid.width + end;
-                let x = L::Wide::load(&grid.x[column..end]);
-                let surface = load_surface::<L, ANISOTROPIC>(&planes, range.clone());
-                let frame = Frame::<L, ANISOTROPIC>::new(&surface);
-                let mut gradient = FrameGradient::zero();
-                for (view, target) in views {
-                    let response = view.response(&frame, x, y);
-                    let intensity = view.intensity::<L>();
-                    let (squares, slopes) = compare(&surface, &response, intensity, target, pixels, range.clone());
-                    sum = sum + squares.widen();
+        for row in self.rows.clone() {
+            for column in (0..grid.width).step_by(TILE) {
+                let len = TILE.min(grid.width - column);
+                tile.read(&planes, row * grid.width + column, len);
+                for at in (0..len).step_by(L::LANES) {
+                    let surface = tile.load_surface::<L, ANISOTROPIC>(at);
+                    let frame = Frame::<L, ANISOTROPIC>::new(&surface);
+                    let (x, y) = grid.position::<L>(row, column + at);
+                    let mut gradient = FrameGradient::zero();
+                    for (view, target) in views {
+                        let response = view.response(&frame, x, y);
+                        let intensity = view.intensity::<L>();
+                        let radiance = response.radiance(&surface, intensity);
+                        let (squares, errors) = target.compare(row, column + at, radiance);
+                        sum = sum + squares.widen();
+                        if GRADIENT {
+                            let mut by_response = errors;
+                            for c in 0..3 {
+                                by_response[c] = errors[c] * (intensity[c] * weight);
+                            }
+                            gradient.add(&surface, &response, by_response);
+                        }
+                    }
                     if GRADIENT {
-                        gradient.add(&surface, &response, std::array::from_fn(|c| slopes[c] * intensity[c] * weight));
+                        slopes.store_surface::<L, ANISOTROPIC>(at, &gradient.finish(&frame));
                     }
                 }
                 if GRADIENT {
-                    let gradient = gradient.finish(&frame);
-                    store_surface::<L, ANISOTROPIC>(&gradient, self.gradient, range.start - start..range.end - start);
+                    slopes.write(self.gradient, (row - self.rows.start) * grid.width + column, len);
                 }
             }
         }
         sum.sum()
     }
-}
-
-/// Sum over channels of the squared errors of some pixels, and half its derivatives by the radiance.
-#[inline(always)]
-fn compare<L: Lanes>(
-    surface: &Surface<L>,
-    response: &Response<L>,
-    intensity: [L; 3],
-    target: &Target,
-    pixels: usize,
-    range: std::ops::Range<usize>,
-) -> (L, [L; 3]) {
-    let zero = L::splat(0.0);
-    let radiance = response.radiance(surface, intensity);
-    let (mut squares, mut slopes) = (zero, [zero; 3]);
-    for c in 0..3 {
-        let (encoded, slope) = encode(radiance[c]);
-        let photo = L::load_f32(&target.encoded[c * pixels + range.start..c * pixels + range.end]);
-        let saturated = L::bits_set(&target.saturated[range.clone()], c as u32);
-        let error = encoded - photo;
-        let error = L::select(saturated, error.min(zero), error);
-        squares = error.mul_add(error, squares);
-        slopes[c] = error * slope;
-    }
-    (squares, slopes)
 }
 
 impl<T: Real, const GRADIENT: bool> Kernel<T> for LossRows<'_, T, GRADIENT> {

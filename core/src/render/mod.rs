@@ -8,7 +8,7 @@ mod loss;
 
 use rayon::prelude::*;
 
-use crate::brdf::real::{Arithmetic, Kernel, Lanes, Real, Wide};
+use crate::brdf::real::{Arithmetic, Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::brdf::{Directions, Frame, Response, Surface};
 use crate::capture::Shot;
 use crate::error::{Error, Result};
@@ -79,8 +79,14 @@ fn split_planes<T>(data: &mut [T], plane_len: usize, chunk_len: usize) -> Vec<Ve
     chunks
 }
 
+/// Length of a row with room for whole bundles.
+fn padded(width: usize) -> usize {
+    width.next_multiple_of(LANES_MAX)
+}
+
 /// Positions of the pixels in units of the patch's width, and how they are cut into chunks.
 struct Grid {
+    /// Of the columns, and on to [`padded`].
     x: Vec<f64>,
     y: Vec<f64>,
     width: usize,
@@ -95,11 +101,17 @@ impl Grid {
         let (width, height) = (maps.width(), maps.height());
         let columns = width as f64;
         Ok(Self {
-            x: (0..width).map(|column| (column as f64 + 0.5) / columns - 0.5).collect(),
+            x: (0..padded(width)).map(|column| (column as f64 + 0.5) / columns - 0.5).collect(),
             y: (0..height).map(|row| (0.5 * height as f64 - (row as f64 + 0.5)) / columns).collect(),
             width,
             chunk_rows: (CHUNK_PIXELS / width).max(1),
         })
+    }
+
+    /// Positions of the pixels from `column` on.
+    #[inline(always)]
+    fn position<L: Lanes>(&self, row: usize, column: usize) -> (L::Wide, L::Wide) {
+        (L::Wide::load(&self.x[column..][..L::LANES]), L::Wide::splat(self.y[row]))
     }
 
     fn rows(&self, chunk: usize) -> std::ops::Range<usize> {
@@ -139,7 +151,7 @@ impl View {
 
     #[inline(always)]
     fn intensity<L: Lanes>(&self) -> [L; 3] {
-        self.intensity.map(L::splat)
+        [L::splat(self.intensity[0]), L::splat(self.intensity[1]), L::splat(self.intensity[2])]
     }
 
     /// How the points (x, y, 0) answer to this photo.
@@ -152,68 +164,119 @@ impl View {
         x: L::Wide,
         y: L::Wide,
     ) -> Response<L> {
-        let to = |target: [f64; 3]| {
-            [L::Wide::splat(target[0]) - x, L::Wide::splat(target[1]) - y, L::Wide::splat(target[2])]
-        };
+        let camera = offset::<L>(self.camera, x, y);
         if self.collocated {
-            Response::new(frame, &Directions::collocated(to(self.camera)))
+            Response::new(frame, &Directions::collocated(camera))
         } else {
-            Response::new(frame, &Directions::separate(to(self.camera), to(self.light)))
+            Response::new(frame, &Directions::separate(camera, offset::<L>(self.light, x, y)))
         }
     }
 }
 
-/// The pixels `range` of all planes, as the shading reads them.
+/// The way from (x, y, 0) to `target`.
 #[inline(always)]
-fn load_surface<L: Lanes, const ANISOTROPIC: bool>(
-    planes: &[&[L::Scalar]],
-    range: std::ops::Range<usize>,
-) -> Surface<L> {
-    let plane = |index: usize| L::load(&planes[index][range.clone()]);
-    let three = |first: usize| [plane(first), plane(first + 1), plane(first + 2)];
-    let zero = L::splat(0.0);
-    if ANISOTROPIC {
-        Surface {
-            diffuse: three(DIFFUSE_PLANE),
-            normal: three(NORMAL_PLANE),
-            roughness: [plane(ROUGHNESS_PLANE), plane(ROUGHNESS_PLANE + 1)],
-            specular: three(Lobe::Anisotropic.specular_plane()),
-            tangent: three(Lobe::Anisotropic.tangent_plane()),
+fn offset<L: Lanes>(target: [f64; 3], x: L::Wide, y: L::Wide) -> [L::Wide; 3] {
+    [L::Wide::splat(target[0]) - x, L::Wide::splat(target[1]) - y, L::Wide::splat(target[2])]
+}
+
+/// Pixels of a tile.
+const TILE: usize = 64;
+
+/// A piece of a row of all planes, side by side.
+///
+/// Planes whose size is a power of two fall on the same lines of the cache: reading ten and writing ten in step evicts each line before
+/// it is used up, and costs half as much again as the arithmetic. Pieces of some lines, copied, do not.
+/// Behind the end of a row a tile is filled with zeros, which render black and have no gradient.
+#[repr(align(64))]
+struct Tile<T>([[T; TILE]; Lobe::Anisotropic.planes()]);
+
+impl<T: Real> Tile<T> {
+    fn new() -> Self {
+        Self([[T::default(); TILE]; Lobe::Anisotropic.planes()])
+    }
+
+    /// Reads `len` pixels from `start` on.
+    #[inline(always)]
+    fn read(&mut self, planes: &[&[T]], start: usize, len: usize) {
+        for (tile, plane) in self.0.iter_mut().zip(planes) {
+            match plane[start..][..len].first_chunk::<TILE>() {
+                Some(whole) => *tile = *whole,
+                None => {
+                    tile[..len].copy_from_slice(&plane[start..][..len]);
+                    tile[len..].fill(T::default());
+                }
+            }
         }
-    } else {
+    }
+
+    /// Writes the first `len` pixels of the first planes to `start`.
+    #[inline(always)]
+    fn write(&self, planes: &mut [&mut [T]], start: usize, len: usize) {
+        for (tile, plane) in self.0.iter().zip(planes) {
+            match plane[start..][..len].first_chunk_mut::<TILE>() {
+                Some(whole) => *whole = *tile,
+                None => plane[start..][..len].copy_from_slice(&tile[..len]),
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn load<L: Lanes<Scalar = T>>(&self, plane: usize, at: usize) -> L {
+        L::load(&self.0[plane][at..][..L::LANES])
+    }
+
+    #[inline(always)]
+    fn load_three<L: Lanes<Scalar = T>>(&self, first: usize, at: usize) -> [L; 3] {
+        [self.load(first, at), self.load(first + 1, at), self.load(first + 2, at)]
+    }
+
+    #[inline(always)]
+    fn store<L: Lanes<Scalar = T>>(&mut self, plane: usize, at: usize, value: L) {
+        value.store(&mut self.0[plane][at..][..L::LANES]);
+    }
+
+    /// The pixels from `at` on, as the shading reads them.
+    #[inline(always)]
+    fn load_surface<L: Lanes<Scalar = T>, const ANISOTROPIC: bool>(&self, at: usize) -> Surface<L> {
+        let zero = L::splat(0.0);
+        let (mut roughness, mut tangent) = ([self.load(ROUGHNESS_PLANE, at), zero], [zero; 3]);
+        if ANISOTROPIC {
+            roughness[1] = self.load(ROUGHNESS_PLANE + 1, at);
+            tangent = self.load_three(Lobe::Anisotropic.tangent_plane(), at);
+        }
         Surface {
-            diffuse: three(DIFFUSE_PLANE),
-            normal: three(NORMAL_PLANE),
-            roughness: [plane(ROUGHNESS_PLANE), zero],
-            specular: three(Lobe::Isotropic.specular_plane()),
-            tangent: [zero; 3],
+            diffuse: self.load_three(DIFFUSE_PLANE, at),
+            normal: self.load_three(NORMAL_PLANE, at),
+            roughness,
+            specular: self.load_three(lobe::<ANISOTROPIC>().specular_plane(), at),
+            tangent,
+        }
+    }
+
+    /// The inverse of [`Tile::load_surface`].
+    #[inline(always)]
+    fn store_surface<L: Lanes<Scalar = T>, const ANISOTROPIC: bool>(&mut self, at: usize, surface: &Surface<L>) {
+        let lobe = lobe::<ANISOTROPIC>();
+        for c in 0..3 {
+            self.store(DIFFUSE_PLANE + c, at, surface.diffuse[c]);
+            self.store(NORMAL_PLANE + c, at, surface.normal[c]);
+            self.store(lobe.specular_plane() + c, at, surface.specular[c]);
+            if ANISOTROPIC {
+                self.store(lobe.tangent_plane() + c, at, surface.tangent[c]);
+            }
+        }
+        self.store(ROUGHNESS_PLANE, at, surface.roughness[0]);
+        if ANISOTROPIC {
+            self.store(ROUGHNESS_PLANE + 1, at, surface.roughness[1]);
         }
     }
 }
 
-/// The inverse of [`load_surface`].
-#[inline(always)]
-fn store_surface<L: Lanes, const ANISOTROPIC: bool>(
-    surface: &Surface<L>,
-    planes: &mut [&mut [L::Scalar]],
-    range: std::ops::Range<usize>,
-) {
-    let mut store = |first: usize, values: &[L]| {
-        for (i, value) in values.iter().enumerate() {
-            value.store(&mut planes[first + i][range.clone()]);
-        }
-    };
-    let lobe = if ANISOTROPIC { Lobe::Anisotropic } else { Lobe::Isotropic };
-    store(DIFFUSE_PLANE, &surface.diffuse);
-    store(NORMAL_PLANE, &surface.normal);
-    store(ROUGHNESS_PLANE, &surface.roughness[..lobe.roughness_planes()]);
-    store(lobe.specular_plane(), &surface.specular);
-    if ANISOTROPIC {
-        store(lobe.tangent_plane(), &surface.tangent);
-    }
+const fn lobe<const ANISOTROPIC: bool>() -> Lobe {
+    if ANISOTROPIC { Lobe::Anisotropic } else { Lobe::Isotropic }
 }
 
-/// All planes of `maps`, for indexing without arithmetic.
+/// All planes of `maps`.
 fn planes<T>(maps: &Maps<T>) -> Vec<&[T]> {
     maps.data().chunks(maps.width() * maps.height()).collect()
 }
@@ -232,18 +295,22 @@ impl<T: Real> RenderRows<'_, T> {
     fn rows<L: Lanes<Scalar = T>, const ANISOTROPIC: bool>(self) {
         let planes = planes(self.maps);
         let intensity = self.view.intensity::<L>();
-        let start = self.rows.start * self.grid.width;
-        for row in self.rows {
-            let y = L::Wide::splat(self.grid.y[row]);
-            for column in (0..self.grid.width).step_by(L::LANES) {
-                let end = (column + L::LANES).min(self.grid.width);
-                let first = row * self.grid.width;
-                let surface = load_surface::<L, ANISOTROPIC>(&planes, first + column..first + end);
-                let frame = Frame::<L, ANISOTROPIC>::new(&surface);
-                let response = self.view.response(&frame, L::Wide::load(&self.grid.x[column..end]), y);
-                for (out, radiance) in self.out.iter_mut().zip(response.radiance(&surface, intensity)) {
-                    radiance.store(&mut out[first - start + column..first - start + end]);
+        let (mut tile, mut radiance) = (Tile::new(), Tile::new());
+        for row in self.rows.clone() {
+            for column in (0..self.grid.width).step_by(TILE) {
+                let len = TILE.min(self.grid.width - column);
+                tile.read(&planes, row * self.grid.width + column, len);
+                for at in (0..len).step_by(L::LANES) {
+                    let surface = tile.load_surface::<L, ANISOTROPIC>(at);
+                    let frame = Frame::<L, ANISOTROPIC>::new(&surface);
+                    let (x, y) = self.grid.position::<L>(row, column + at);
+                    let response = self.view.response(&frame, x, y);
+                    let values = response.radiance(&surface, intensity);
+                    for (c, value) in values.into_iter().enumerate() {
+                        radiance.store(c, at, value);
+                    }
                 }
+                radiance.write(self.out, (row - self.rows.start) * self.grid.width + column, len);
             }
         }
     }
