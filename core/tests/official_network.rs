@@ -1,0 +1,124 @@
+//! The network against outputs and gradients of the released architecture, computed in f64.
+
+mod common;
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use common::{Expected, relative_l2, shared};
+use svbrdf_gcn::fit::progress::{CancelToken, Control, Progress};
+use svbrdf_gcn::nn::{Adapters, Code, Model, Network};
+
+/// A Python with numpy: the one that `make setup` made, or one of the system's.
+fn python() -> PathBuf {
+    let local = Path::new(env!("CARGO_MANIFEST_DIR")).join("../.venv/bin/python");
+    let candidates = [local, "python3".into(), "/usr/bin/python3".into()];
+    let has_numpy = |python: &PathBuf| {
+        let probe = Command::new(python).args(["-c", "import numpy"]).stderr(Stdio::null()).status();
+        probe.is_ok_and(|status| status.success())
+    };
+    candidates.into_iter().find(has_numpy).expect("a Python with numpy; `make setup` installs one")
+}
+
+/// The fixture checkpoints as a weights file, through the script users have.
+fn import(folder: &Path, gcn: &str, pairs: &[(&str, &str)]) -> Model {
+    let out = tempfile::Builder::new().suffix(".safetensors").tempfile().unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../python/tools/import_checkpoint.py");
+    let mut command = Command::new(python());
+    command.arg(script).arg(out.path()).args(["--gcn", gcn, "--license", "random weights", "--roughness-floor", "-1"]);
+    for (encoder, decoder) in pairs {
+        command.arg("--pair").arg(folder.join(encoder)).arg(folder.join(decoder));
+    }
+    assert!(command.status().unwrap().success(), "{command:?}");
+    let model = Model::load(out.path()).unwrap();
+    assert_eq!(model.license(), "random weights");
+    model
+}
+
+fn go_on(_: &Progress) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// The raw maps of `code`, and everything on the way there.
+fn raw_maps(network: &Network, code: &Code, control: &mut Control<'_>) -> Vec<f32> {
+    let feature = network.decode(&code.latent, code, control).unwrap();
+    let mut adapters = adapters(network, &feature, code);
+    let mut raw = vec![0.0; adapters.raw_len()];
+    adapters.forward(&params(network), &mut raw).unwrap();
+    raw
+}
+
+fn adapters(network: &Network, feature: &[f32], code: &Code) -> Adapters {
+    let outputs: Vec<usize> = network.adapters().iter().map(|adapter| adapter.outputs()).collect();
+    Adapters::new(feature, network.config().feature_channels(), &outputs, code.width(), code.height()).unwrap()
+}
+
+fn params(network: &Network) -> Vec<f32> {
+    network.adapters().iter().flat_map(|adapter| adapter.values.iter().copied()).collect()
+}
+
+#[test]
+fn outputs_and_gradients_of_the_released_architecture() {
+    let Some(folder) = shared("fixtures/official") else { return };
+    let expected = Expected::open(&folder.join("expected.safetensors"));
+    let mut callback = go_on;
+    let mut control = Control::new(&mut callback, CancelToken::new());
+    let images = expected.f32("images");
+    let (height, width) = (32, 40);
+    let photos: Vec<&[f32]> = images.chunks(3 * height * width).collect();
+    let close = |got: &[f32], name: &str, tolerance: f64| {
+        let error = relative_l2(got, &expected.f64(name));
+        println!("{name}: {error:.1e}");
+        assert!(error < tolerance, "{name}: {error}");
+    };
+
+    // A fit of many photos takes the network for four, one of three the network for one.
+    let model = import(&folder, "diagonal", &[("enc_4.ckpt", "dec.ckpt"), ("enc_1.ckpt", "dec.ckpt")]);
+    let diagonal = model.network(9).unwrap();
+    assert_eq!(diagonal.config().photos, 4);
+    let code = diagonal.encode(&photos, height, width, &mut control).unwrap();
+    close(&code.skip(0).unwrap(), "gcn_level0", 1e-5);
+    close(&code.latent, "gcn_latent", 1e-5);
+    let (feature, trace) = diagonal.decode_traced(&code.latent, &code, &mut control).unwrap();
+    let mut adapters = adapters(diagonal, &feature, &code);
+    let mut raw = vec![0.0; adapters.raw_len()];
+    adapters.forward(&params(diagonal), &mut raw).unwrap();
+    close(&raw, "gcn_maps", 1e-5);
+    assert_eq!(raw, raw_maps(diagonal, &code, &mut control));
+
+    // loss = mean(maps^2)
+    let count = raw.len() as f64;
+    let loss = raw.iter().map(|&value| f64::from(value).powi(2)).sum::<f64>() / count;
+    close(&[loss as f32], "gcn_loss", 1e-5);
+    let d_raw: Vec<f32> = raw.iter().map(|&value| (2.0 * f64::from(value) / count) as f32).collect();
+    let mut d_params = vec![0.0; adapters.params_len()];
+    let mut d_feature = vec![0.0; feature.len()];
+    adapters.backward(&d_raw, Some(&mut d_params), Some(&mut d_feature)).unwrap();
+    close(&trace.pull_back(&d_feature, &mut control).unwrap(), "grad_latent", 1e-4);
+    let lengths: Vec<usize> = diagonal.adapters().iter().map(|adapter| adapter.values.len()).collect();
+    let rough = lengths[0] + lengths[1];
+    let place = diagonal.adapters()[2].range("conv1.weight").unwrap();
+    close(&d_params[rough + place.start..rough + place.end], "grad_rough_conv1_weight", 1e-4);
+    close(&d_params[diagonal.adapters()[0].range("end.bias").unwrap()], "grad_diff_end_bias", 1e-4);
+
+    let single = model.network(3).unwrap();
+    assert_eq!(single.config().photos, 1);
+    let code = single.encode(&photos[..1], height, width, &mut control).unwrap();
+    close(&code.latent, "single_latent", 1e-5);
+    close(&raw_maps(single, &code, &mut control), "single_maps", 1e-5);
+    assert!(single.encode(&photos, height, width, &mut control).is_err());
+
+    let model = import(&folder, "full", &[("enc_4.ckpt", "dec.ckpt")]);
+    let full = model.network(4).unwrap();
+    let code = full.encode(&photos, height, width, &mut control).unwrap();
+    close(&code.latent, "gcn_full_latent", 1e-5);
+    close(&raw_maps(full, &code, &mut control), "gcn_full_maps", 1e-5);
+    let message = model.network(3).unwrap_err().to_string();
+    assert!(message.contains('4') && message.contains('3'), "{message}");
+
+    let model = import(&folder, "diagonal", &[("enc_1.ckpt", "dec_aniso.ckpt")]);
+    let anisotropic = model.network(1).unwrap();
+    let code = anisotropic.encode(&photos[..1], height, width, &mut control).unwrap();
+    close(&raw_maps(anisotropic, &code, &mut control), "aniso_maps", 1e-5);
+}
