@@ -13,7 +13,8 @@ use svbrdf_gcn::nn::{Gcn, Model, NetworkConfig};
 const SIZE: usize = 256;
 
 fn paper(criterion: &mut Criterion) {
-    let model = Model::random(&[NetworkConfig::paper(4, Gcn::Diagonal, Lobe::Isotropic)], 1).expect("a valid configuration");
+    let model =
+        Model::random(&[NetworkConfig::paper(4, Gcn::Diagonal, Lobe::Isotropic)], 1).expect("a valid configuration");
     let network = model.network(4).expect("a network for four photos");
     let photo: Vec<f32> = (0..3 * SIZE * SIZE).map(|i| (i as f32 * 0.37).sin().abs()).collect();
     let photos = [&photo[..]; 4];

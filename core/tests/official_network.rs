@@ -6,9 +6,13 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use common::{Expected, relative_l2, shared};
+use common::{Expected, fixture, relative_l2, shared};
+use svbrdf_gcn::fit::adapters::{Readout, fit_adapters};
+use svbrdf_gcn::fit::latent::fit_latent;
 use svbrdf_gcn::fit::progress::{CancelToken, Control, Progress};
-use svbrdf_gcn::nn::{Adapters, Code, Model, Network};
+use svbrdf_gcn::nn::{AdapterParams, Adapters, Code, Decoding, Model, Network};
+use svbrdf_gcn::render::{Target, render_maps};
+use svbrdf_gcn::{Lobe, Shot};
 
 /// A Python with numpy: the one that `make setup` made, or one of the system's.
 fn python() -> PathBuf {
@@ -69,7 +73,6 @@ fn outputs_and_gradients_of_the_released_architecture() {
     let photos: Vec<&[f32]> = images.chunks(3 * height * width).collect();
     let close = |got: &[f32], name: &str, tolerance: f64| {
         let error = relative_l2(got, &expected.f64(name));
-        println!("{name}: {error:.1e}");
         assert!(error < tolerance, "{name}: {error}");
     };
 
@@ -121,4 +124,69 @@ fn outputs_and_gradients_of_the_released_architecture() {
     let anisotropic = model.network(1).unwrap();
     let code = anisotropic.encode(&photos[..1], height, width, &mut control).unwrap();
     close(&raw_maps(anisotropic, &code, &mut control), "aniso_maps", 1e-5);
+}
+
+#[test]
+fn a_short_fit() {
+    let Some(folder) = shared("fixtures/official") else { return };
+    let expected = Expected::open(&fixture("official/fit.safetensors"));
+    let model = import(&folder, "diagonal", &[("enc_4.ckpt", "dec.ckpt")]);
+    let network = model.network(5).unwrap();
+    let mut callback = go_on;
+    let mut control = Control::new(&mut callback, CancelToken::new());
+    let close = |got: &[f32], name: &str, tolerance: f64| {
+        let error = relative_l2(got, &expected.f64(name));
+        assert!(error < tolerance, "{name}: {error}");
+    };
+    let size = 32;
+    let photos = expected.f32("photos");
+    let photos: Vec<&[f32]> = photos.chunks(3 * size * size).collect();
+    let position = |name: &str, photo: usize| -> [f64; 3] { expected.f64(name)[3 * photo..][..3].try_into().unwrap() };
+    let target = |(photo, encoded): (usize, &&[f32])| {
+        let light_intensity = position("light_intensity", 0);
+        let shot = Shot { camera: position("camera", photo), light: position("light", photo), light_intensity };
+        Target::new(size, size, shot, encoded.to_vec(), vec![0; size * size]).unwrap()
+    };
+    let targets: Vec<Target> = photos.iter().enumerate().map(target).collect();
+
+    let mut code = network.encode(&photos[..4], size, size, &mut control).unwrap();
+    close(&code.latent, "z0", 1e-5);
+    let mut params = network.adapters().to_vec();
+    let (feature, trace) = network.decode_traced(&code.latent, &code, &mut control).unwrap();
+    close(&raw_maps(network, &code, &mut control), "raw", 1e-5);
+    let outputs: Vec<usize> = params.iter().map(AdapterParams::outputs).collect();
+    let mut readout = Readout::new(&feature, 9, &outputs, Decoding::new(Lobe::Isotropic), 10.0, &targets).unwrap();
+    let flat: Vec<f32> = params.iter().flat_map(|adapter| adapter.values.clone()).collect();
+    let mut d_feature = vec![0.0; feature.len()];
+    readout.loss(&flat, None, Some(&mut d_feature), &mut control).unwrap();
+    let maps = |readout: &Readout<'_>, prefix: &str| {
+        let planes =
+            |first: usize, count: usize| readout.maps().data()[first * size * size..][..count * size * size].to_vec();
+        close(&planes(0, 3), &format!("{prefix}_diffuse"), 1e-4);
+        close(&planes(3, 3), &format!("{prefix}_normal"), 1e-4);
+        close(&planes(6, 1), &format!("{prefix}_roughness"), 1e-4);
+        close(&planes(7, 3), &format!("{prefix}_specular"), 1e-4);
+    };
+    maps(&readout, "map");
+    let rendered: Vec<f32> =
+        targets.iter().flat_map(|target| render_maps(readout.maps(), 10.0, target.shot()).unwrap()).collect();
+    close(&rendered, "radiance", 1e-4);
+    close(&trace.pull_back(&d_feature, &mut control).unwrap(), "grad_z0", 1e-4);
+
+    let latent = fit_latent(network, &mut code, &params, &mut readout, 3, None, &mut control).unwrap();
+    close(&code.latent, "z3", 1e-4);
+    let rest = fit_adapters(&mut readout, &mut params, 5, None, &mut control).unwrap();
+    let losses = [&latent.losses[..], &rest.losses[1..]].concat();
+    for (step, (got, expected)) in losses.iter().zip(expected.f64("losses")).enumerate() {
+        assert!((got / expected - 1.0).abs() < 1e-5, "loss {step}: {got} {expected}");
+    }
+    assert_eq!(losses.len(), 9);
+    assert_eq!(latent.losses[3], rest.losses[0], "the second stage starts where the first ended");
+    maps(&readout, "final");
+    for (adapter, (name, _)) in params.iter().zip(network.config().adapters()) {
+        for (tensor, _, range) in AdapterParams::tensors(9, adapter.outputs()) {
+            let part = if tensor.starts_with("end.") { "" } else { "conv." };
+            close(&adapter.values[range], &format!("adapter5.{name}.{part}{tensor}"), 1e-4);
+        }
+    }
 }

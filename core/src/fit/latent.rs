@@ -44,6 +44,9 @@ pub fn fit_latent(
     });
     code.latent = latent;
     let descent = result?;
-    readout.set_feature(&network.decode(&code.latent, code, control)?)?;
+    if descent.best_step != descent.steps() {
+        // The last code evaluated was not the best.
+        readout.set_feature(&network.decode(&code.latent, code, control)?)?;
+    }
     Ok(descent)
 }
