@@ -145,7 +145,7 @@ fn a_short_fit() {
     let target = |(photo, encoded): (usize, &&[f32])| {
         let light_intensity = position("light_intensity", 0);
         let shot = Shot { camera: position("camera", photo), light: position("light", photo), light_intensity };
-        Target::new(size, size, shot, encoded.to_vec(), vec![0; size * size]).unwrap()
+        Target::new(size, size, shot, encoded, &vec![0; size * size]).unwrap()
     };
     let targets: Vec<Target> = photos.iter().enumerate().map(target).collect();
 

@@ -201,8 +201,8 @@ mod tests {
         let shots = [[0.3, 0.2, 3.0], [-1.0, 0.8, 2.5], [1.0, -0.9, 2.6]];
         let target = |at: [f64; 3]| {
             let shot = Shot { camera: at, light: at, light_intensity: [20.0; 3] };
-            let encoded = render_maps(&maps, 2.0, &shot).unwrap().into_iter().map(encode_radiance).collect();
-            Target::new(WIDTH, HEIGHT, shot, encoded, vec![0; pixels]).unwrap()
+            let encoded: Vec<f32> = render_maps(&maps, 2.0, &shot).unwrap().into_iter().map(encode_radiance).collect();
+            Target::new(WIDTH, HEIGHT, shot, &encoded, &vec![0; pixels]).unwrap()
         };
         shots.into_iter().map(target).collect()
     }

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use crate::capture::Capture;
+use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::adapters::{Readout, fit_adapters};
 use crate::fit::descent::EarlyStop;
@@ -32,9 +33,10 @@ pub(crate) fn fit_network(
 
     control.report(Stage::Encode, 0, 1, None)?;
     // The encoder was trained on photos in [0, 1]; float photos may be brighter.
-    let photos: Vec<Vec<f32>> = targets[..config.photos]
+    let stored = |linear: f32| Transfer::Gamma22.encode(linear).min(1.0);
+    let photos: Vec<Vec<f32>> = capture.photos()[..config.photos]
         .iter()
-        .map(|target| target.encoded().iter().map(|value| value.clamp(0.0, 1.0)).collect())
+        .map(|photo| photo.image.to_planar().into_iter().map(stored).collect())
         .collect();
     let photos: Vec<&[f32]> = photos.iter().map(Vec::as_slice).collect();
     let mut code = network.encode(&photos, capture.height(), capture.width(), control)?;
