@@ -59,8 +59,8 @@ fn targets() -> Result<Vec<Target>, Error> {
     let target = |[x, y]: [f64; 2]| {
         let at = [x, y, 2.1];
         let shot = Shot { camera: at, light: at, light_intensity: [10.0; 3] };
-        let encoded = noise(3 * SIZE * SIZE).into_iter().map(|value| value + 0.5).collect();
-        Target::new(SIZE, SIZE, shot, encoded, vec![0; SIZE * SIZE])
+        let encoded: Vec<f32> = noise(3 * SIZE * SIZE).into_iter().map(|value| value + 0.5).collect();
+        Target::new(SIZE, SIZE, shot, &encoded, &vec![0; SIZE * SIZE])
     };
     positions.into_iter().map(target).collect()
 }
