@@ -5,6 +5,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := target/release/svbrdf-gcn
 
+# Where the measuring data lies beside the repository, no test may skip for want of it.
+ifneq ($(wildcard ../shared/REFERENCE.md),)
+export SVBRDF_GCN_REQUIRE_SHARED := 1
+endif
+
 .PHONY: help build demo test setup lint unit docs-test python-test bench fuzz sample clean
 
 help: ## this list
@@ -30,7 +35,7 @@ lint: ## formatting, clippy, documentation
 
 unit: ## Rust tests
 	$(CARGO) check -p svbrdf-gcn --no-default-features --locked
-	$(CARGO) test --workspace --all-targets --locked
+	$(CARGO) test --workspace --lib --bins --tests --locked
 
 docs-test: ## the examples in the documentation
 	$(CARGO) test --workspace --doc --locked
@@ -42,11 +47,15 @@ bench: ## benchmarks; figures are in docs/performance.md
 	$(CARGO) bench -p svbrdf-gcn
 
 fuzz: ## a minute on each reader (needs cargo-fuzz)
-	cd fuzz && for target in $$($(CARGO) fuzz list); do RUSTC_BOOTSTRAP=1 $(CARGO) fuzz run $$target -- -max_total_time=60 -rss_limit_mb=2048 || exit 1; done
+	for target in image folders weights; do \
+		mkdir -p fuzz/corpus/$$target fuzz/seeds/$$target; \
+		RUSTC_BOOTSTRAP=1 $(CARGO) fuzz run -O $$target fuzz/corpus/$$target fuzz/seeds/$$target -- -max_total_time=60 -malloc_limit_mb=1200 -max_len=65536 || exit 1; \
+	done
 
-sample: ## path-trace the sample captures again (installs Blender's Python module)
-	$(VENV)/bin/pip install --quiet bpy==5.0.1
-	$(VENV)/bin/python python/tools/make_sample.py samples
+sample: ## path-trace the sample captures again (needs Python 3.11 for Blender's module)
+	python3.11 -m venv .venv/blender
+	.venv/blender/bin/pip install --quiet bpy==5.0.1 numpy
+	.venv/blender/bin/python python/tools/make_sample.py samples
 
 clean: ## remove what was built
 	rm -rf target out $(VENV)
