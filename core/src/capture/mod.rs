@@ -140,11 +140,33 @@ impl Capture {
     ///
     /// # Errors
     /// As [`Capture::open_with`].
+    ///
+    /// # Example
+    /// ```no_run
+    /// use svbrdf_gcn::Capture;
+    ///
+    /// let capture = Capture::open("captures/wood")?;
+    /// for warning in capture.warnings() {
+    ///     eprintln!("{warning}");
+    /// }
+    /// let camera = capture.photos()[0].shot.camera;
+    /// # Ok::<(), svbrdf_gcn::Error>(())
+    /// ```
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::open_with(path, &CaptureOptions::default())
     }
 
     /// [`Capture::open`] with options.
+    ///
+    /// # Example
+    /// ```no_run
+    /// use svbrdf_gcn::{Capture, CaptureOptions, Transfer};
+    ///
+    /// let options = CaptureOptions::new().size(512).views([0, 2, 5]).transfer(Transfer::Srgb);
+    /// let capture = Capture::open_with("captures/wood", &options)?;
+    /// assert_eq!(capture.len(), 3);
+    /// # Ok::<(), svbrdf_gcn::Error>(())
+    /// ```
     ///
     /// # Errors
     /// [`Error::Io`] for files that are missing or broken, [`Error::UnsupportedFormat`] for layouts and image formats that are
@@ -180,6 +202,21 @@ impl Capture {
     ///
     /// # Errors
     /// As [`Capture::open_with`]; [`Error::ShapeMismatch`] if a photo's samples are not `width * height * channels` values.
+    ///
+    /// # Example
+    /// ```
+    /// use svbrdf_gcn::io::Samples;
+    /// use svbrdf_gcn::{Capture, CaptureOptions, PhotoPixels, Shot, Transfer};
+    ///
+    /// let pixels = [255u8, 128, 0, 64, 64, 64];
+    /// let shot = Shot { camera: [0.0, 0.0, 20.0], light: [1.0, 0.0, 20.0], light_intensity: [1500.0; 3] };
+    /// let photo =
+    ///     PhotoPixels { name: "left", shot, width: 2, height: 1, channels: 3, samples: Samples::U8(&pixels) };
+    /// let capture = Capture::from_photos(&[photo], 9.7, Transfer::Srgb, None, &CaptureOptions::new())?;
+    /// assert_eq!(capture.photos()[0].image.data()[0], 1.0);
+    /// assert_eq!(capture.photos()[0].saturated, [0b001, 0]);
+    /// # Ok::<(), svbrdf_gcn::Error>(())
+    /// ```
     pub fn from_photos(
         photos: &[PhotoPixels<'_>],
         patch_size: f64,

@@ -24,14 +24,16 @@ pub(super) enum Precision {
 pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
     let error = |e| exr_error(path, e);
     let reader = exr::block::read(Cursor::new(bytes), false).map_err(error)?;
-    // The first part is read with all its channels; the picture takes up to three of them.
-    let Some(header) = reader.headers().first() else { return Err(broken(path, "no image in the file")) };
-    let channels = header.channels.list.len() as u64;
-    let data = (header.layer_size.width() as u64, header.layer_size.height() as u64);
-    check_size(path, data.0, data.1, 4 * channels, bytes.len())?;
-    let display = header.shared_attributes.display_window;
-    let display_size = (display.size.width() as u64, display.size.height() as u64);
-    check_size(path, display_size.0, display_size.1, 4 * channels, bytes.len())?;
+    // One part is read, with all its channels; the picture takes up to three of them.
+    for header in reader.headers() {
+        let bytes_per_pixel = 4 * header.channels.list.len() as u64;
+        for size in [header.layer_size, header.shared_attributes.display_window.size] {
+            check_size(path, size.width() as u64, size.height() as u64, bytes_per_pixel, bytes.len())?;
+        }
+    }
+    let Some(display) = reader.headers().first().map(|header| header.shared_attributes.display_window) else {
+        return Err(broken(path, "no image in the file"));
+    };
 
     let image = read()
         .no_deep_data()

@@ -288,6 +288,19 @@ impl Material {
     ///
     /// # Errors
     /// As [`Material::to_maps`]; [`Error::Io`] if a file cannot be written.
+    ///
+    /// # Example
+    /// ```no_run
+    /// use svbrdf_gcn::Material;
+    /// use svbrdf_gcn::io::material::{LoadOptions, MaterialEncoding, MaterialFormat, SaveOptions};
+    ///
+    /// // A strip of the MaterialGAN data set as a folder of 16-bit PNGs.
+    /// let options = LoadOptions::new().encoding(MaterialEncoding::MaterialGan).patch_size(6.8);
+    /// let material = Material::load_with("strip.png", &options)?;
+    /// material.save("out", &SaveOptions::new(MaterialFormat::Png16).unit("cm"))?;
+    /// assert_eq!(Material::load("out")?.patch_size, 6.8);
+    /// # Ok::<(), svbrdf_gcn::Error>(())
+    /// ```
     pub fn save(&self, folder: impl AsRef<Path>, options: &SaveOptions) -> Result<()> {
         let folder = folder.as_ref();
         let maps = self.to_maps()?;
