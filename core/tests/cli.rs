@@ -1,5 +1,7 @@
 //! The command line as a user sees it: exit codes, messages, files.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -1,5 +1,7 @@
 //! The fit without a network, on photos that another renderer made.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
 mod common;
 
 use std::ops::ControlFlow;

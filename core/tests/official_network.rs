@@ -1,5 +1,7 @@
 //! The network against outputs and gradients of the released architecture, computed in f64.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
 mod common;
 
 use std::ops::ControlFlow;

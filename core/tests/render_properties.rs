@@ -304,7 +304,7 @@ proptest! {
     /// takes (1 - F0), not (1 - F), of it, so the whole is bounded by 1 + d (1 - s), and not by 1.
     #[test]
     fn the_lobe_reflects_at_most_what_it_receives(
-        lobe in lobe(), roughness in [0.05..1.0, 0.05..1.0], elevation in 0.02..1.0, azimuth in 0.0..6.28
+        lobe in lobe(), roughness in [0.05..1.0, 0.05..1.0], elevation in 0.02..1.0, azimuth in 0.0..std::f64::consts::TAU
     ) {
         let mut surface = Surface {
             diffuse: [0.0; 3],

@@ -1,5 +1,7 @@
 //! The sample captures, path-traced by another renderer, against this crate's reader and renderer: units, axes, encodings.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
 use std::path::PathBuf;
 
 use svbrdf_gcn::metrics::photo_rmse;
