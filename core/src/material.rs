@@ -132,3 +132,81 @@ fn orthogonal(vector: [f64; 3], normal: [f64; 3]) -> Option<[f64; 3]> {
     let length2: f64 = rest.iter().map(|component| component * component).sum();
     if length2 > 1e-10 { unit(rest) } else { None }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn maps(lobe: Lobe) -> Maps<f32> {
+        let data = (0..lobe.planes() * 6).map(|i| 0.5 + 0.6 * (i as f32 * 1.3).sin()).collect();
+        Maps::new(lobe, 3, 2, data).unwrap()
+    }
+
+    #[test]
+    fn a_material_holds_maps_in_range() {
+        for lobe in [Lobe::Isotropic, Lobe::Anisotropic] {
+            let material = Material::from_maps(&maps(lobe), 2.0).unwrap();
+            for image in [&material.diffuse_albedo, &material.specular_albedo, &material.roughness] {
+                assert!(image.data().iter().all(|value| (0.0..=1.0).contains(value)));
+            }
+            assert_eq!(material.roughness.channels(), lobe.roughness_planes());
+            assert_eq!(material.tangent.is_some(), lobe == Lobe::Anisotropic);
+            let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
+            for normal in material.normal.data().chunks(3) {
+                assert!((dot(normal, normal) - 1.0).abs() < 1e-6);
+            }
+            for (t, n) in material.tangent.iter().flat_map(|t| t.data().chunks(3)).zip(material.normal.data().chunks(3))
+            {
+                assert!((dot(t, t) - 1.0).abs() < 1e-6 && dot(t, n).abs() < 1e-6);
+            }
+            // What is in range and of unit length already goes through unchanged, but for the last bit.
+            let again = Material::from_maps(&material.to_maps().unwrap(), 2.0).unwrap();
+            let (first, second) = (material.to_maps().unwrap(), again.to_maps().unwrap());
+            for (a, b) in first.data().iter().zip(second.data()) {
+                assert!((a - b).abs() < 2e-7, "{a} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn degenerate_vectors_are_replaced() {
+        let mut maps = maps(Lobe::Anisotropic);
+        let tangent = Lobe::Anisotropic.tangent_plane();
+        let mut set = |pixel: usize, normal: [f32; 3], along: [f32; 3]| {
+            for i in 0..3 {
+                maps.plane_mut(NORMAL_PLANE + i)[pixel] = normal[i];
+                maps.plane_mut(tangent + i)[pixel] = along[i];
+            }
+        };
+        set(0, [0.0; 3], [0.0; 3]);
+        set(1, [2.0, 0.0, 0.0], [-3.0, 0.0, 0.0]);
+        set(2, [0.0, 0.0, 0.5], [0.3, 0.4, 7.0]);
+        let material = Material::from_maps(&maps, 1.0).unwrap();
+        let tangent = material.tangent.unwrap();
+        assert_eq!(material.normal.data()[..9], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(tangent.data()[..6], [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+        for (got, expected) in tangent.data()[6..9].iter().zip([0.6, 0.8, 0.0]) {
+            assert!((got - expected).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn bad_values_are_named() {
+        let good = Material::from_maps(&maps(Lobe::Anisotropic), 1.0).unwrap();
+        let name = |material: &Material| match material.to_maps().unwrap_err() {
+            Error::InvalidArgument { name, .. } | Error::ShapeMismatch { name, .. } => name,
+            other => panic!("{other}"),
+        };
+        let image = |channels: usize| Image::new(3, 2, channels, vec![0.5; 6 * channels]).unwrap();
+        assert_eq!(name(&Material { diffuse_albedo: image(4), ..good.clone() }), "diffuse_albedo");
+        assert_eq!(name(&Material { roughness: image(1), ..good.clone() }), "roughness");
+        assert_eq!(name(&Material { tangent: Some(image(1)), ..good.clone() }), "tangent");
+        let mut specular_albedo = image(3);
+        specular_albedo.data_mut()[4] = f32::NAN;
+        assert_eq!(name(&Material { specular_albedo, ..good.clone() }), "specular_albedo");
+        assert_eq!(name(&Material { patch_size: 0.0, ..good }), "patch_size");
+        let mut maps = maps(Lobe::Isotropic);
+        maps.data_mut()[7] = f32::INFINITY;
+        assert!(matches!(Material::from_maps(&maps, 1.0), Err(Error::NonFinite { .. })));
+    }
+}

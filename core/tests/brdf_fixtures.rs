@@ -8,7 +8,8 @@ mod common;
 use safetensors::SafeTensors;
 use svbrdf_gcn::brdf::real::Real;
 use svbrdf_gcn::brdf::{ROUGHNESS_MIN, Surface, shade_point, shade_point_gradient};
-use svbrdf_gcn::{Lobe, Shot};
+use svbrdf_gcn::render::{Target, encode_radiance, photo_loss, render_maps};
+use svbrdf_gcn::{Lobe, Maps, Shot};
 
 /// One point of a fixture: inputs, and what should come out. Gradients by alpha are by roughness here.
 struct Case {
@@ -138,6 +139,34 @@ fn deviation(
     }
 }
 
+fn to_f32<const N: usize>(values: [f64; N]) -> [f32; N] {
+    values.map(|value| value as f32)
+}
+
+fn to_f64<const N: usize>(values: [f32; N]) -> [f64; N] {
+    values.map(f64::from)
+}
+
+fn surface_to_f32(surface: &Surface<f64>) -> Surface<f32> {
+    Surface {
+        diffuse: to_f32(surface.diffuse),
+        normal: to_f32(surface.normal),
+        roughness: to_f32(surface.roughness),
+        specular: to_f32(surface.specular),
+        tangent: to_f32(surface.tangent),
+    }
+}
+
+fn surface_to_f64(surface: &Surface<f32>) -> Surface<f64> {
+    Surface {
+        diffuse: to_f64(surface.diffuse),
+        normal: to_f64(surface.normal),
+        roughness: to_f64(surface.roughness),
+        specular: to_f64(surface.specular),
+        tangent: to_f64(surface.tangent),
+    }
+}
+
 #[test]
 fn double_precision_meets_the_expected_values() {
     for lobe in [Lobe::Isotropic, Lobe::Anisotropic] {
@@ -152,52 +181,108 @@ fn double_precision_meets_the_expected_values() {
     }
 }
 
-fn to_f32<const N: usize>(values: [f64; N]) -> [f32; N] {
-    values.map(|value| value as f32)
-}
-
-fn to_f64<T: Real, const N: usize>(values: [T; N]) -> [f64; N] {
-    values.map(T::to_f64)
-}
-
-fn surface_to_f64<T: Real>(surface: &Surface<T>) -> Surface<f64> {
-    Surface {
-        diffuse: to_f64(surface.diffuse),
-        normal: to_f64(surface.normal),
-        roughness: to_f64(surface.roughness),
-        specular: to_f64(surface.specular),
-        tangent: to_f64(surface.tangent),
+/// A case with all its inputs rounded to single precision.
+fn rounded(case: &Case) -> Case {
+    fn round<const N: usize>(values: [f64; N]) -> [f64; N] {
+        to_f64(to_f32(values))
+    }
+    let surface = &case.surface;
+    Case {
+        surface: Surface {
+            diffuse: round(surface.diffuse),
+            normal: round(surface.normal),
+            roughness: round(surface.roughness),
+            specular: round(surface.specular),
+            tangent: round(surface.tangent),
+        },
+        position: round(case.position),
+        shot: Shot {
+            camera: round(case.shot.camera),
+            light: round(case.shot.light),
+            light_intensity: round(case.shot.light_intensity),
+        },
+        weight: round(case.weight),
+        ..*case
     }
 }
+
+/// Single precision must stay within this of double precision at the same inputs, for all roughnesses from 1e-3.
+///
+/// That is no more than some roundings: what would cancel is computed in double precision. Measured are 3e-6 at most.
+const SINGLE_PRECISION: f64 = 5e-6;
 
 #[test]
 fn single_precision_follows_double_precision() {
     for lobe in [Lobe::Isotropic, Lobe::Anisotropic] {
-        let (mut worst, mut worst_sharp) = (Deviation::default(), Deviation::default());
-        for case in cases(lobe) {
-            let surface = Surface {
-                diffuse: to_f32(case.surface.diffuse),
-                normal: to_f32(case.surface.normal),
-                roughness: to_f32(case.surface.roughness),
-                specular: to_f32(case.surface.specular),
-                tangent: to_f32(case.surface.tangent),
-            };
-            let weight = to_f32(case.weight);
-            let rounded = |values| to_f64(to_f32(values));
-            let position = rounded(case.position);
-            let shot = Shot {
-                camera: rounded(case.shot.camera),
-                light: rounded(case.shot.light),
-                light_intensity: rounded(case.shot.light_intensity),
-            };
-            let (radiance, gradient) = shade_point_gradient(lobe, &surface, position, &shot, weight);
+        let mut worst = Deviation::default();
+        for case in cases(lobe).iter().map(rounded) {
+            let surface = surface_to_f32(&case.surface);
+            let (radiance, gradient) =
+                shade_point_gradient(lobe, &surface, case.position, &case.shot, to_f32(case.weight));
             let got = (to_f64(radiance), surface_to_f64(&gradient));
-            let expected = shade_point_gradient(lobe, &surface_to_f64(&surface), position, &shot, to_f64(weight));
-            let deviation = deviation(lobe, &case, &expected, &got);
-            let sharpest = case.surface.roughness[..lobe.roughness_planes()].iter().fold(1.0_f64, |a, &r| a.min(r));
-            if sharpest >= 0.05 { worst.include(deviation) } else { worst_sharp.include(deviation) }
+            let expected = shade_point_gradient(lobe, &case.surface, case.position, &case.shot, case.weight);
+            worst.include(deviation(lobe, &case, &expected, &got));
         }
-        eprintln!("{lobe:?} f32: {worst:?}\n    roughness below 0.05: {worst_sharp:?}");
-        assert!(worst.worst() < 1e-4, "{lobe:?} {worst:?}");
+        eprintln!("{lobe:?} f32: {worst:?}");
+        assert!(worst.worst() < SINGLE_PRECISION, "{lobe:?} {worst:?}");
+    }
+}
+
+/// The planes of one pixel.
+fn planes<T: Real>(lobe: Lobe, surface: &Surface<T>) -> Maps<T> {
+    let mut planes = [surface.diffuse, surface.normal].concat();
+    planes.extend(&surface.roughness[..lobe.roughness_planes()]);
+    planes.extend(surface.specular);
+    if lobe == Lobe::Anisotropic {
+        planes.extend(surface.tangent);
+    }
+    Maps::new(lobe, 1, 1, planes).unwrap()
+}
+
+/// The inverse of [`planes`].
+fn surface_of(maps: &Maps<f32>) -> Surface<f64> {
+    let lobe = maps.lobe();
+    let at = |plane: usize| f64::from(maps.plane(plane)[0]);
+    let three = |first: usize| [at(first), at(first + 1), at(first + 2)];
+    let anisotropic = lobe == Lobe::Anisotropic;
+    Surface {
+        diffuse: three(0),
+        normal: three(3),
+        roughness: [at(6), if anisotropic { at(7) } else { 0.0 }],
+        specular: three(lobe.specular_plane()),
+        tangent: if anisotropic { three(lobe.tangent_plane()) } else { [0.0; 3] },
+    }
+}
+
+/// The same through the renderer and the loss, which compute on bundles of pixels: maps of one pixel, at the origin.
+#[test]
+fn rendering_and_loss_follow_double_precision() {
+    for lobe in [Lobe::Isotropic, Lobe::Anisotropic] {
+        let mut worst = Deviation::default();
+        for case in cases(lobe).iter().map(rounded) {
+            let from_origin = |place: [f64; 3]| std::array::from_fn(|i| place[i] - case.position[i]);
+            let shot = Shot { camera: from_origin(case.shot.camera), light: from_origin(case.shot.light), ..case.shot };
+            let maps = planes(lobe, &surface_to_f32(&case.surface));
+            let radiance = render_maps(&maps, 1.0, &shot).unwrap();
+            // Half as bright a photo: the error is as large as what is compared.
+            let exact = shade_point(lobe, &case.surface, [0.0; 3], &shot);
+            let photo = exact.map(|radiance| 0.5 * encode_radiance(radiance) as f32);
+            let target = Target::new(1, 1, shot, &photo, &[0]).unwrap();
+            let mut gradient = maps.clone();
+            photo_loss(&maps, 1.0, &[target], Some(&mut gradient)).unwrap();
+            // The loss of one pixel as a weighted sum of radiances; the slope of the encoding by differences.
+            let weight = std::array::from_fn(|c| {
+                let value = encode_radiance(exact[c]);
+                let step = 1e-4 * exact[c].max(1e-9);
+                let slope = (encode_radiance(exact[c] + step) - encode_radiance(exact[c] - step)) / (2.0 * step);
+                2000.0 / 3.0 * (value - f64::from(photo[c])) * slope
+            });
+            let case = Case { weight, ..case };
+            let expected = shade_point_gradient(lobe, &case.surface, [0.0; 3], &shot, weight);
+            let got = (to_f64([radiance[0], radiance[1], radiance[2]]), surface_of(&gradient));
+            worst.include(deviation(lobe, &case, &expected, &got));
+        }
+        eprintln!("{lobe:?} f32, rendered: {worst:?}");
+        assert!(worst.worst() < SINGLE_PRECISION, "{lobe:?} {worst:?}");
     }
 }

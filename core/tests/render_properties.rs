@@ -41,11 +41,14 @@ fn place() -> impl Strategy<Value = [f64; 3]> {
 
 fn shot() -> impl Strategy<Value = Shot> {
     let intensity = three(prop_oneof![(-6.0..6.0).prop_map(|x: f64| 10.0_f64.powf(x)), Just(0.0)]);
-    (place(), place(), any::<bool>(), intensity).prop_map(|(camera, light, collocated, light_intensity)| Shot {
-        camera,
-        light: if collocated { camera } else { light },
-        light_intensity,
-    })
+    // The smallest distance is 1e-3, and intensity over squared distance up to 1e12.
+    let scale = (-1.7..2.0).prop_map(|x: f64| 10.0_f64.powf(x));
+    (place(), place(), any::<bool>(), scale, intensity).prop_map(
+        |(camera, light, collocated, scale, light_intensity)| {
+            let light = if collocated { camera } else { light };
+            Shot { camera: camera.map(|x| x * scale), light: light.map(|x| x * scale), light_intensity }
+        },
+    )
 }
 
 fn surface() -> impl Strategy<Value = Surface<f64>> {

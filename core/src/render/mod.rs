@@ -5,6 +5,7 @@
 //! the same bits on any number of threads.
 
 mod loss;
+mod tape;
 
 use rayon::prelude::*;
 
@@ -15,6 +16,9 @@ use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::material::Material;
+
+#[doc(hidden)]
+pub use tape::photo_loss_on_tape;
 
 pub use loss::{TOE, Target, encode_radiance, photo_loss};
 
