@@ -13,7 +13,7 @@ use super::config::NetworkConfig;
 use super::layout::Layout;
 use super::network::{Decoder, Encoded, Encoder, Trace};
 use super::params::AdapterParams;
-use super::tape::{Param, Planes};
+use super::tape::{Param, Planes, Pool};
 use super::weights::{Reader, broken};
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
@@ -288,6 +288,8 @@ pub struct Code {
     pub latent: Vec<f32>,
     layout: Layout,
     skips: Vec<Arc<Planes<f32>>>,
+    /// Runs of the decoder on this code share their memory.
+    pool: Pool<f32>,
     height: usize,
     width: usize,
 }
@@ -437,11 +439,12 @@ impl Network {
             height: height.next_multiple_of(unit),
             width: width.next_multiple_of(unit),
         };
-        let photos = Planes::constant(layout.pack(&photos.concat(), height, width), layout)?;
+        let pool = Pool::default();
+        let photos = Planes::pooled(layout.pack(&photos.concat(), height, width), layout, &pool)?;
         let Encoded { latent, skips } = self.encoder.run(photos, control)?;
         let layout = latent.layout;
         let latent = layout.unpack(&latent.values(), layout.height, layout.width);
-        Ok(Code { latent, layout, skips: skips.into_iter().map(Arc::new).collect(), height, width })
+        Ok(Code { latent, layout, skips: skips.into_iter().map(Arc::new).collect(), pool, height, width })
     }
 
     /// The material feature, (9 or 14, H, W) plane after plane, of `latent` with the skips of `code`.
@@ -473,7 +476,8 @@ impl Network {
         if code.layout.channels != self.config.latent_channels() || code.skips.len() != self.config.levels() {
             return Err(Error::invalid("code", "comes from another network"));
         }
-        Planes::constant(code.layout.pack(latent, code.layout.height, code.layout.width), code.layout)
+        let latent = code.layout.pack(latent, code.layout.height, code.layout.width);
+        Planes::pooled(latent, code.layout, &code.pool)
     }
 }
 

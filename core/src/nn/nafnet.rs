@@ -5,12 +5,12 @@ use std::sync::Arc;
 use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
-use super::kernels::{add, add_scaled, dot, fill, gate, gate_backward, norm, norm_backward, scale, scale_shift, sum};
+use super::kernels::{add_scaled, dot, fill, gate, gate_backward, norm, norm_backward, scale, scale_shift, sum};
 use super::layout::Layout;
 use super::matrix::{Matrix, multiply};
 use super::ops::{self, depthwise_band, pooled_gradient, taps, total, turned};
 use super::scalar::Scalar;
-use super::tape::{Param, Planes, record};
+use super::tape::{Buffer, Param, Planes, Pool, record};
 use crate::error::Result;
 
 /// Weight and bias of one of the block's layers.
@@ -67,13 +67,12 @@ pub(crate) fn block<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, block: &Arc<Blo
         return Err(crate::error::Error::shape("block", expected, x.layout.channels.to_string()));
     }
     let (layout, records) = (x.layout, x.records());
-    let mut values = x.values();
-    let kept = forward(block, layout, &mut values, records);
+    let (out, kept) = forward(block, layout, x.values(), x.pool(), records);
     let (x, tape) = x.split();
     let block = block.clone();
-    record(values, layout, tape, records, move |dy, grads| {
+    record(out, layout, tape, records, move |dy, grads| {
         let Some(kept) = kept else { return Ok(()) };
-        x.add_gradient(grads, |dx| kept.backward(&block, layout, &x.values(), dy, dx))
+        x.add_gradient(grads, || kept.backward(&block, layout, x.values(), x.pool(), dy))
     })
 }
 
@@ -98,19 +97,19 @@ pub(crate) fn composed<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, block: &Bloc
 const RECOMPUTED_CHANNELS: usize = 128;
 
 /// What a block keeps for the way back, beside its input.
-struct Kept<E> {
+struct Kept<E: Scalar> {
     /// Output of the depthwise convolution, 2c channels.
-    gate1: Vec<E>,
+    gate1: Buffer<E>,
     /// Factors of the channel attention.
     factor: Vec<E>,
     /// Between the two halves of the block.
-    middle: Vec<E>,
+    middle: Buffer<E>,
     /// Output of conv4, 2c channels, unless it is recomputed.
-    gate2: Option<Vec<E>>,
+    gate2: Option<Buffer<E>>,
 }
 
 /// `bands` mutable pieces of `len` values each (the last may be shorter) of a buffer that may not be there.
-fn pieces<E>(buffer: Option<&mut Vec<E>>, len: usize, bands: usize) -> Vec<Option<&mut [E]>> {
+fn pieces<E: Scalar>(buffer: Option<&mut Buffer<E>>, len: usize, bands: usize) -> Vec<Option<&mut [E]>> {
     match buffer {
         Some(buffer) => buffer.chunks_mut(len).map(Some).collect(),
         None => (0..bands).map(|_| None).collect(),
@@ -137,28 +136,34 @@ fn second_gate_input<E: Scalar>(out: &mut [E], block: &Block<E>, middle: &[E], n
     linear(out, &block.conv4, normal, block.channels);
 }
 
-/// Replaces `x` by the block's output.
-fn forward<E: Scalar>(block: &Block<E>, layout: Layout, x: &mut [E], keep: bool) -> Option<Kept<E>> {
+/// The block's output, and what [`Kept::backward`] needs if `keep`.
+fn forward<E: Scalar>(
+    block: &Block<E>,
+    layout: Layout,
+    x: &[E],
+    pool: &Pool<E>,
+    keep: bool,
+) -> (Buffer<E>, Option<Kept<E>>) {
     let (c, bands) = (block.channels, layout.bands());
     let (single, double) = (layout.band_len(), 2 * layout.band_len());
     let wide = layout.with_channels(2 * c);
 
-    let mut expanded = vec![E::default(); wide.len()];
+    let mut expanded = pool.take(wide.len());
     expanded.par_chunks_mut(double).zip(x.par_chunks(single)).for_each(|(expanded, x)| {
-        let mut normal = vec![E::default(); x.len()];
+        let mut normal = pool.take(x.len());
         norm(&mut normal, x, block.norm1.weight.values(), block.norm1.bias.values());
         linear(expanded, &block.conv1, &normal, c);
     });
 
-    let mut gate1 = keep.then(|| vec![E::default(); wide.len()]);
-    let mut gated = vec![E::default(); layout.len()];
+    let mut gate1 = keep.then(|| pool.take(wide.len()));
+    let mut gated = pool.take(layout.len());
     let sums: Vec<Vec<E>> = pieces(gate1.as_mut(), double, bands)
         .into_par_iter()
         .zip(gated.par_chunks_mut(single))
         .enumerate()
         .map(|(band, (kept, gated))| {
-            let mut local = vec![E::default(); if kept.is_none() { 2 * gated.len() } else { 0 }];
-            let input = kept.unwrap_or(&mut local);
+            let mut local = kept.is_none().then(|| pool.take(2 * gated.len()));
+            let input = kept.or(local.as_deref_mut()).unwrap_or_default();
             let conv2 = &block.conv2;
             depthwise_band(input, &expanded, wide, band, |k| (taps(conv2.weight.values(), k), conv2.bias.values()[k]));
             gate(gated, input);
@@ -170,36 +175,36 @@ fn forward<E: Scalar>(block: &Block<E>, layout: Layout, x: &mut [E], keep: bool)
     mean.iter_mut().for_each(|mean| *mean *= E::of(1.0 / layout.pixels() as f64));
     let factor = ops::affine(block.sca.weight.values(), &mean, block.sca.bias.values());
 
-    let mut middle = keep.then(|| vec![E::default(); layout.len()]);
-    let mut gate2 = (keep && c > RECOMPUTED_CHANNELS).then(|| vec![E::default(); wide.len()]);
+    let mut out = pool.take(layout.len());
+    let mut middle = keep.then(|| pool.take(layout.len()));
+    let mut gate2 = (keep && c > RECOMPUTED_CHANNELS).then(|| pool.take(wide.len()));
     pieces(middle.as_mut(), single, bands)
         .into_par_iter()
         .zip(pieces(gate2.as_mut(), double, bands))
-        .zip(x.par_chunks_mut(single).zip(gated.par_chunks_mut(single)))
-        .for_each(|((middle, gate2), (x, gated))| {
-            let mut narrow = vec![E::default(); x.len()];
+        .zip(out.par_chunks_mut(single).zip(x.par_chunks(single)).zip(gated.par_chunks_mut(single)))
+        .for_each(|((middle, gate2), ((out, x), gated))| {
+            let mut narrow = pool.take(x.len());
             scale(&mut narrow, gated, &factor);
             linear(gated, &block.conv3, &narrow, c);
-            add_scaled(x, gated, block.beta.values());
+            out.copy_from_slice(x);
+            add_scaled(out, gated, block.beta.values());
             if let Some(middle) = middle {
-                middle.copy_from_slice(x);
+                middle.copy_from_slice(out);
             }
-            let mut local = vec![E::default(); if gate2.is_none() { 2 * x.len() } else { 0 }];
-            let input = gate2.unwrap_or(&mut local);
-            second_gate_input(input, block, x, &mut narrow);
+            let mut local = gate2.is_none().then(|| pool.take(2 * x.len()));
+            let input = gate2.or(local.as_deref_mut()).unwrap_or_default();
+            second_gate_input(input, block, out, &mut narrow);
             gate(gated, input);
             linear(&mut narrow, &block.conv5, gated, c);
-            add_scaled(x, &narrow, block.gamma.values());
+            add_scaled(out, &narrow, block.gamma.values());
         });
-    match (gate1, middle) {
-        (Some(gate1), Some(middle)) => Some(Kept { gate1, factor, middle, gate2 }),
-        _ => None,
-    }
+    let kept = gate1.zip(middle).map(|(gate1, middle)| Kept { gate1, factor, middle, gate2 });
+    (out, kept)
 }
 
 impl<E: Scalar> Kept<E> {
-    /// Adds the gradient with respect to the block's input `x` to `dx`, given that with respect to its output.
-    fn backward(self, block: &Block<E>, layout: Layout, x: &[E], mut dy: Vec<E>, dx: &mut [E]) {
+    /// Turns `dy`, the gradient with respect to the block's output, into that with respect to its input `x`.
+    fn backward(self, block: &Block<E>, layout: Layout, x: &[E], pool: &Pool<E>, mut dy: Buffer<E>) -> Buffer<E> {
         let (c, bands) = (block.channels, layout.bands());
         let (single, double) = (layout.band_len(), 2 * layout.band_len());
         let wide = layout.with_channels(2 * c);
@@ -207,21 +212,18 @@ impl<E: Scalar> Kept<E> {
 
         // The second half turns `dy` into the gradient between the halves; `dgated` is that with respect to the first gate's
         // output, as far as it does not come through the factors.
-        let mut dgated = vec![E::default(); layout.len()];
+        let mut dgated = pool.take(layout.len());
         let dfactors: Vec<Vec<E>> = pieces(gate2.as_mut(), double, bands)
             .into_par_iter()
             .zip(dy.par_chunks_mut(single).zip(dgated.par_chunks_mut(single)))
             .zip(middle.par_chunks(single).zip(gate1.par_chunks(double)))
             .map(|((gate2, (dy, dgated)), (middle, gate1))| {
-                let mut narrow = vec![E::default(); dy.len()];
-                let mut local = vec![E::default(); if gate2.is_none() { 2 * dy.len() } else { 0 }];
-                let input = match gate2 {
-                    Some(kept) => kept,
-                    None => {
-                        second_gate_input(&mut local, block, middle, &mut narrow);
-                        &mut local
-                    }
-                };
+                let mut narrow = pool.take(dy.len());
+                let mut local = gate2.is_none().then(|| pool.take(2 * dy.len()));
+                if let Some(local) = &mut local {
+                    second_gate_input(local, block, middle, &mut narrow);
+                }
+                let input = gate2.or(local.as_deref_mut()).unwrap_or_default();
                 scale(&mut narrow, dy, block.gamma.values());
                 linear_backward(dgated, &block.conv5, &narrow, c);
                 gate_backward(input, dgated);
@@ -243,17 +245,16 @@ impl<E: Scalar> Kept<E> {
         });
         drop(dgated);
 
-        dx.par_chunks_mut(single).zip(x.par_chunks(single).zip(dy.par_chunks(single))).enumerate().for_each(
-            |(band, (dx, (x, dy)))| {
-                let mut expanded = vec![E::default(); 2 * dx.len()];
-                let weight = block.conv2.weight.values();
-                depthwise_band(&mut expanded, &gate1, wide, band, |k| (turned(weight, k), E::default()));
-                let mut normal = vec![E::default(); dx.len()];
-                linear_backward(&mut normal, &block.conv1, &expanded, c);
-                norm_backward(dx, &normal, x, block.norm1.weight.values());
-                add(dx, dy);
-            },
-        );
+        // The residual connection passes `dy` on as it is.
+        dy.par_chunks_mut(single).zip(x.par_chunks(single)).enumerate().for_each(|(band, (dy, x))| {
+            let mut expanded = pool.take(2 * dy.len());
+            let weight = block.conv2.weight.values();
+            depthwise_band(&mut expanded, &gate1, wide, band, |k| (turned(weight, k), E::default()));
+            let mut normal = pool.take(dy.len());
+            linear_backward(&mut normal, &block.conv1, &expanded, c);
+            norm_backward(dy, &normal, x, block.norm1.weight.values());
+        });
+        dy
     }
 }
 

@@ -261,6 +261,7 @@ mod tests {
                 .run(Planes::constant(latent.to_vec(), layout(16, 1)).unwrap(), &skips, &mut control)
                 .unwrap()
                 .values()
+                .to_vec()
         };
         let values = run(&latent);
         let seed = numbers(values.len(), 9);

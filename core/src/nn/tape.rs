@@ -1,6 +1,11 @@
 //! Images on dfdx's tape: how an operation of this crate records its gradient.
+//!
+//! dfdx gives no access to a tensor's values but by copying them, which would cost as much as many of the operations. So the values travel
+//! beside the tape, shared, and the tape's tensors are empty: they only say whose gradient is meant.
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::ops::{Deref, DerefMut};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use dfdx::prelude::*;
 
@@ -8,31 +13,94 @@ use super::layout::Layout;
 use super::scalar::Scalar;
 use crate::error::{Error, Result};
 
-/// A vector on the tape.
-pub(crate) type Node<E> = Tensor<(usize,), E, Cpu>;
+/// Whose gradient: a tensor without values.
+type Key<E, T = NoneTape> = Tensor<(usize,), E, Cpu, T>;
 
 /// dfdx's gradients on the CPU.
 pub(crate) type Grads<E> = Gradients<E, Cpu>;
 
-/// The channels of an image on the tape.
-pub(crate) struct Planes<E: Scalar, T = NoneTape> {
-    tensor: Tensor<(usize,), E, Cpu, T>,
-    /// How the values lie.
-    pub layout: Layout,
-    /// Whether anybody asks for the gradient with respect to these values.
-    wanted: bool,
+/// What a step of the way back returns.
+pub(crate) type Returned = std::result::Result<(), CpuError>;
+
+fn key<E: Scalar>() -> Result<Key<E>> {
+    Cpu::default().try_tensor_from_vec(Vec::new(), (0,)).map_err(tape_error)
+}
+
+/// Our error for dfdx's.
+fn tape_error(error: CpuError) -> Error {
+    Error::invalid("tensor", error.to_string())
+}
+
+/// Memory that operations use again: what they free comes back here, so that only the first step of a fit has it from the system.
+#[derive(Clone, Default)]
+pub(crate) struct Pool<E>(Arc<Mutex<BTreeMap<usize, Vec<Vec<E>>>>>);
+
+impl<E: Scalar> Pool<E> {
+    /// `len` values, whatever they are.
+    pub fn take(&self, len: usize) -> Buffer<E> {
+        let free = self.0.lock().unwrap_or_else(PoisonError::into_inner).get_mut(&len).and_then(Vec::pop);
+        Buffer { values: free.unwrap_or_else(|| vec![E::default(); len]), pool: self.clone() }
+    }
+
+    /// A copy of `values`.
+    pub fn copy(&self, values: &[E]) -> Buffer<E> {
+        let mut buffer = self.take(values.len());
+        buffer.copy_from_slice(values);
+        buffer
+    }
+
+    /// `len` zeros.
+    pub fn zeros(&self, len: usize) -> Buffer<E> {
+        let mut buffer = self.take(len);
+        buffer.fill(E::default());
+        buffer
+    }
+
+    fn adopt(&self, values: Vec<E>) -> Buffer<E> {
+        Buffer { values, pool: self.clone() }
+    }
+}
+
+/// Values that go back to their pool when dropped.
+pub(crate) struct Buffer<E: Scalar> {
+    values: Vec<E>,
+    pool: Pool<E>,
+}
+
+impl<E: Scalar> Buffer<E> {
+    fn into_vec(mut self) -> Vec<E> {
+        std::mem::take(&mut self.values)
+    }
+}
+
+impl<E: Scalar> Drop for Buffer<E> {
+    fn drop(&mut self) {
+        let values = std::mem::take(&mut self.values);
+        if !values.is_empty() {
+            self.pool.0.lock().unwrap_or_else(PoisonError::into_inner).entry(values.len()).or_default().push(values);
+        }
+    }
+}
+
+impl<E: Scalar> Deref for Buffer<E> {
+    type Target = [E];
+
+    fn deref(&self) -> &[E] {
+        &self.values
+    }
+}
+
+impl<E: Scalar> DerefMut for Buffer<E> {
+    fn deref_mut(&mut self) -> &mut [E] {
+        &mut self.values
+    }
 }
 
 /// Parameters of an operation: constants, or a leaf of the tape where their gradient is asked for.
 #[derive(Clone)]
 pub(crate) struct Param<E: Scalar> {
     values: Arc<Vec<E>>,
-    leaf: Option<Node<E>>,
-}
-
-/// Our error for dfdx's.
-pub(crate) fn tape_error(error: CpuError) -> Error {
-    Error::invalid("tensor", error.to_string())
+    leaf: Option<Key<E>>,
 }
 
 impl<E: Scalar> Param<E> {
@@ -44,8 +112,7 @@ impl<E: Scalar> Param<E> {
     /// Parameters whose gradient [`Pullback::of_param`] will give.
     #[cfg(test)]
     pub fn tracked(values: Vec<E>) -> Self {
-        let leaf = Cpu::default().tensor_from_vec(values.clone(), (values.len(),));
-        Self { values: Arc::new(values), leaf: Some(leaf) }
+        Self { values: Arc::new(values), leaf: key().ok() }
     }
 
     /// The values.
@@ -58,35 +125,48 @@ impl<E: Scalar> Param<E> {
         self.leaf.is_some()
     }
 
-    /// Adds to the gradient, if it is asked for.
-    pub fn add_gradient(&self, grads: &mut Grads<E>, add: impl FnOnce(&mut [E])) -> std::result::Result<(), CpuError> {
-        match &self.leaf {
-            Some(leaf) => add_gradient(grads, leaf, add),
-            None => Ok(()),
-        }
+    /// Lets `add` add to the gradient, if it is asked for.
+    pub fn add_gradient(&self, grads: &mut Grads<E>, add: impl FnOnce(&mut [E])) -> Returned {
+        let Some(leaf) = &self.leaf else { return Ok(()) };
+        let gradient: &mut Vec<E> = grads.get_or_alloc_mut(leaf)?;
+        gradient.resize(self.values.len(), E::default());
+        add(gradient);
+        Ok(())
     }
 }
 
-/// Lets `add` add to the gradient of `node`.
-pub(crate) fn add_gradient<E: Scalar>(
-    grads: &mut Grads<E>,
-    node: &Node<E>,
-    add: impl FnOnce(&mut [E]),
-) -> std::result::Result<(), CpuError> {
-    add(grads.get_or_alloc_mut(node)?);
-    Ok(())
+/// The channels of an image on the tape.
+pub(crate) struct Planes<E: Scalar, T = NoneTape> {
+    key: Key<E, T>,
+    values: Arc<Buffer<E>>,
+    /// How the values lie.
+    pub layout: Layout,
+    /// Whether anybody asks for the gradient with respect to these values.
+    wanted: bool,
 }
 
 impl<E: Scalar> Planes<E> {
-    /// An image whose gradient nobody asks for.
+    /// An image whose gradient nobody asks for, with memory of its own.
+    #[cfg(test)]
     pub fn constant(values: Vec<E>, layout: Layout) -> Result<Self> {
-        let tensor = Cpu::default().try_tensor_from_vec(values, (layout.len(),)).map_err(tape_error)?;
-        Ok(Self { tensor, layout, wanted: false })
+        Self::pooled(values, layout, &Pool::default())
+    }
+
+    /// An image whose gradient nobody asks for; operations on it take their memory from `pool`.
+    pub fn pooled(values: Vec<E>, layout: Layout, pool: &Pool<E>) -> Result<Self> {
+        Self::of(pool.adopt(values), layout)
+    }
+
+    fn of(values: Buffer<E>, layout: Layout) -> Result<Self> {
+        if values.len() != layout.len() {
+            return Err(Error::shape("planes", layout.len().to_string(), values.len().to_string()));
+        }
+        Ok(Self { key: key()?, values: Arc::new(values), layout, wanted: false })
     }
 
     /// The same image at the start of a tape, its gradient asked for.
     pub fn traced(&self) -> Planes<E, OwnedTape<E, Cpu>> {
-        Planes { tensor: self.tensor.leaky_trace(), layout: self.layout, wanted: true }
+        Planes { key: self.key.leaky_trace(), values: self.values.clone(), layout: self.layout, wanted: true }
     }
 
     /// The same image at the start of a tape that is there for the parameters' sake only.
@@ -94,23 +174,52 @@ impl<E: Scalar> Planes<E> {
     pub fn traced_constant(&self) -> Planes<E, OwnedTape<E, Cpu>> {
         Planes { wanted: false, ..self.traced() }
     }
+
+    /// Whether the gradient with respect to this image is asked for.
+    pub fn is_wanted(&self) -> bool {
+        self.wanted
+    }
+
+    /// Adds what `gradient` gives to the gradient, if it is asked for.
+    pub fn add_gradient(&self, grads: &mut Grads<E>, gradient: impl FnOnce() -> Buffer<E>) -> Returned {
+        if !self.wanted {
+            return Ok(());
+        }
+        let (sum, part): (&mut Vec<E>, Buffer<E>) = (grads.get_or_alloc_mut(&self.key)?, gradient());
+        if sum.is_empty() {
+            *sum = part.into_vec();
+        } else {
+            super::kernels::add(sum, &part);
+        }
+        Ok(())
+    }
+
+    /// The image with `tape`.
+    pub fn put<T>(self, tape: T) -> Planes<E, T> {
+        Planes { key: self.key.put_tape(tape), values: self.values, layout: self.layout, wanted: self.wanted }
+    }
 }
 
 impl<E: Scalar, T: Tape<E, Cpu>> Planes<E, T> {
-    /// A copy of the values.
-    pub fn values(&self) -> Vec<E> {
-        self.tensor.as_vec()
+    /// The values.
+    pub fn values(&self) -> &[E] {
+        &self.values
+    }
+
+    /// Where operations on this image take their memory from.
+    pub fn pool(&self) -> &Pool<E> {
+        &self.values.pool
     }
 
     /// The same image with an empty tape of the same kind, for an operation's second branch.
     pub fn branch(&self) -> Self {
-        Self { tensor: self.tensor.retaped(), layout: self.layout, wanted: self.wanted }
+        Self { key: self.key.retaped(), values: self.values.clone(), layout: self.layout, wanted: self.wanted }
     }
 
     /// The image without its tape, and the tape.
     pub fn split(self) -> (Planes<E>, T) {
-        let (tensor, tape) = self.tensor.split_tape();
-        (Planes { tensor, layout: self.layout, wanted: self.wanted }, tape)
+        let (key, tape) = self.key.split_tape();
+        (Planes { key, values: self.values, layout: self.layout, wanted: self.wanted }, tape)
     }
 
     /// Whether an operation on this image has to record a gradient with respect to it.
@@ -119,37 +228,22 @@ impl<E: Scalar, T: Tape<E, Cpu>> Planes<E, T> {
     }
 }
 
-impl<E: Scalar> Planes<E> {
-    /// Whether the gradient with respect to this image is asked for.
-    pub fn is_wanted(&self) -> bool {
-        self.wanted
-    }
-
-    /// Lets `add` add to the gradient, if it is asked for.
-    pub fn add_gradient(&self, grads: &mut Grads<E>, add: impl FnOnce(&mut [E])) -> std::result::Result<(), CpuError> {
-        if self.wanted { add_gradient(grads, &self.tensor, add) } else { Ok(()) }
-    }
-
-    /// The image with `tape`.
-    pub fn put<T>(self, tape: T) -> Planes<E, T> {
-        Planes { tensor: self.tensor.put_tape(tape), layout: self.layout, wanted: self.wanted }
-    }
-}
-
 /// The result of an operation: `values`, and, if `wanted`, on `tape` what `backward` does with the gradient with respect to them.
 pub(crate) fn record<E: Scalar, T: Tape<E, Cpu>>(
-    values: Vec<E>,
+    values: Buffer<E>,
     layout: Layout,
     mut tape: T,
     wanted: bool,
-    backward: impl FnOnce(Vec<E>, &mut Grads<E>) -> std::result::Result<(), CpuError> + 'static,
+    backward: impl FnOnce(Buffer<E>, &mut Grads<E>) -> Returned + 'static,
 ) -> Result<Planes<E, T>> {
-    let planes = Planes { wanted, ..Planes::constant(values, layout)? };
+    let pool = values.pool.clone();
+    let planes = Planes { wanted, ..Planes::of(values, layout)? };
     if wanted {
-        let tensor = planes.tensor.clone();
+        let key = planes.key.clone();
         tape.add_backward_op(move |grads| {
-            let gradient = std::mem::take(&mut **grads.get_or_alloc_mut(&tensor)?);
-            drop(tensor);
+            let gradient = std::mem::take::<Vec<E>>(grads.get_or_alloc_mut(&key)?);
+            // Nothing came back to a result that nobody used.
+            let gradient = if gradient.is_empty() { pool.zeros(layout.len()) } else { pool.adopt(gradient) };
             backward(gradient, grads)
         });
     }
@@ -162,10 +256,13 @@ pub(crate) struct Pullback<E: Scalar>(Grads<E>);
 impl<E: Scalar> Planes<E, OwnedTape<E, Cpu>> {
     /// Runs the tape backwards from `gradient`, the gradient with respect to this image.
     pub fn pull_back(self, gradient: Vec<E>) -> Result<Pullback<E>> {
-        let (planes, mut tape) = self.split();
-        assert_eq!(gradient.len(), planes.layout.len(), "length of a gradient");
+        let Planes { key, layout, .. } = self;
+        if gradient.len() != layout.len() {
+            return Err(Error::shape("gradient", layout.len().to_string(), gradient.len().to_string()));
+        }
+        let (key, mut tape) = key.split_tape();
         tape.add_backward_op(move |grads| {
-            **grads.get_or_alloc_mut(&planes.tensor)? = gradient;
+            **grads.get_or_alloc_mut(&key)? = gradient;
             Ok(())
         });
         // dfdx starts from a scalar: this one only carries the tape.
@@ -177,13 +274,16 @@ impl<E: Scalar> Planes<E, OwnedTape<E, Cpu>> {
 impl<E: Scalar> Pullback<E> {
     /// Takes the gradient with respect to `planes` out.
     pub fn of(&mut self, planes: &Planes<E>) -> Result<Vec<E>> {
-        Ok(std::mem::take(&mut **self.0.get_or_alloc_mut(&planes.tensor).map_err(tape_error)?))
+        let gradient = std::mem::take::<Vec<E>>(self.0.get_or_alloc_mut(&planes.key).map_err(tape_error)?);
+        Ok(if gradient.is_empty() { vec![E::default(); planes.layout.len()] } else { gradient })
     }
 
     /// The gradient with respect to `param`, where it is tracked.
     #[cfg(test)]
     pub fn of_param(&mut self, param: &Param<E>) -> Option<Vec<E>> {
         let leaf = param.leaf.as_ref()?;
-        Some(self.0.get_or_alloc_mut(leaf).ok()?.to_vec())
+        let mut gradient = self.0.get_or_alloc_mut(leaf).ok()?.to_vec();
+        gradient.resize(param.values.len(), E::default());
+        Some(gradient)
     }
 }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::expect;
 use crate::error::Result;
-use crate::nn::kernels::{add, add_scaled, dot, scale, sum};
+use crate::nn::kernels::{add, dot, scale, scale_shift, sum};
 use crate::nn::layout::Layout;
 use crate::nn::matrix::{Matrix, multiply};
 use crate::nn::scalar::Scalar;
@@ -23,36 +23,27 @@ pub(crate) fn channel_attention<E: Scalar, T: Tape<E, Cpu>>(
     let (layout, channels) = (x.layout, x.layout.channels);
     expect("attention weight", weight, channels * channels)?;
     expect("attention bias", bias, channels)?;
-    let mut values = x.values();
-    let mut mean = channel_sums(&values, layout, |row, _| sum(row));
+    let mut mean = channel_sums(x.values(), layout, |row, _| sum(row));
     mean.iter_mut().for_each(|mean| *mean *= E::of(1.0 / layout.pixels() as f64));
     let factor = affine(weight.values(), &mean, bias.values());
-    values.par_chunks_mut(layout.band_len()).for_each(|band| {
-        let pixels = band.len() / channels;
-        for (row, &factor) in band.chunks_exact_mut(pixels).zip(&factor) {
-            row.iter_mut().for_each(|value| *value *= factor);
-        }
-    });
+    let mut out = x.pool().take(layout.len());
+    let bands = out.par_chunks_mut(layout.band_len()).zip(x.values().par_chunks(layout.band_len()));
+    bands.for_each(|(out, x)| scale(out, x, &factor));
 
     let (x, tape) = x.split();
     let (weight, bias) = (weight.clone(), bias.clone());
     let wanted = T::OWNS_TAPE && (x.is_wanted() || weight.is_tracked() || bias.is_tracked());
-    record(values, layout, tape, wanted, move |dy, grads| {
-        let values = x.values();
-        let dfactor = channel_sums(&dy, layout, |row, place| dot(row, &values[place..]));
-        x.add_gradient(grads, |dx| {
-            let share = pooled_gradient(weight.values(), &dfactor, layout.pixels());
-            dx.par_chunks_mut(layout.band_len()).zip(dy.par_chunks(layout.band_len())).for_each(|(dx, dy)| {
-                add_scaled(dx, dy, &factor);
-                for (row, &share) in dx.chunks_exact_mut(dy.len() / channels).zip(&share) {
-                    row.iter_mut().for_each(|dx| *dx += share);
-                }
-            });
-        })?;
+    record(out, layout, tape, wanted, move |mut dy, grads| {
+        let dfactor = channel_sums(&dy, layout, |row, place| dot(row, &x.values()[place..]));
         weight.add_gradient(grads, |dweight| {
             multiply(dweight, true, Matrix::new(&dfactor, channels, 1), Matrix::new(&mean, 1, channels));
         })?;
-        bias.add_gradient(grads, |dbias| add(dbias, &dfactor))
+        bias.add_gradient(grads, |dbias| add(dbias, &dfactor))?;
+        x.add_gradient(grads, || {
+            let share = pooled_gradient(weight.values(), &dfactor, layout.pixels());
+            dy.par_chunks_mut(layout.band_len()).for_each(|dy| scale_shift(dy, &factor, &share));
+            dy
+        })
     })
 }
 

@@ -11,7 +11,7 @@ use crate::nn::kernels::{fill, sum};
 use crate::nn::layout::Layout;
 use crate::nn::matrix::{Matrix, multiply};
 use crate::nn::scalar::Scalar;
-use crate::nn::tape::{Param, Planes, record};
+use crate::nn::tape::{Buffer, Param, Planes, Pool, record};
 
 /// 1x1 convolution: (C, H, W) -> (O, H, W). `weight` (O, C), `bias` (O).
 pub(crate) fn pointwise<E: Scalar, T: Tape<E, Cpu>>(
@@ -22,25 +22,25 @@ pub(crate) fn pointwise<E: Scalar, T: Tape<E, Cpu>>(
     let layout = x.layout;
     let outputs = outputs("conv1x1", weight, bias, layout.channels)?;
     let to = layout.with_channels(outputs);
-    let values = x.values();
-    let mut out = vec![E::default(); to.len()];
-    out.par_chunks_mut(to.band_len()).zip(values.par_chunks(layout.band_len())).for_each(|(out, x)| {
+    let mut out = x.pool().take(to.len());
+    out.par_chunks_mut(to.band_len()).zip(x.values().par_chunks(layout.band_len())).for_each(|(out, x)| {
         let pixels = out.len() / outputs;
         fill(out, outputs, bias.map(Param::values));
         let x = Matrix::new(x, layout.channels, pixels);
         multiply(out, true, Matrix::new(weight.values(), outputs, layout.channels), x);
     });
-    drop(values);
 
     let (x, tape) = x.split();
     let (weight, bias) = (weight.clone(), bias.cloned());
     let tracked = weight.is_tracked() || bias.as_ref().is_some_and(Param::is_tracked);
     record(out, to, tape, T::OWNS_TAPE && (x.is_wanted() || tracked), move |dy, grads| {
-        x.add_gradient(grads, |dx| {
+        x.add_gradient(grads, || {
             let weight = Matrix::new(weight.values(), outputs, layout.channels).transposed();
+            let mut dx = x.pool().take(layout.len());
             dx.par_chunks_mut(layout.band_len()).zip(dy.par_chunks(to.band_len())).for_each(|(dx, dy)| {
-                multiply(dx, true, weight, Matrix::new(dy, outputs, dy.len() / outputs));
+                multiply(dx, false, weight, Matrix::new(dy, outputs, dy.len() / outputs));
             });
+            dx
         })?;
         weight.add_gradient(grads, |dweight| {
             for (dy, x) in dy.chunks(to.band_len()).zip(x.values().chunks(layout.band_len())) {
@@ -68,22 +68,19 @@ pub(crate) fn conv3x3<E: Scalar, T: Tape<E, Cpu>>(
     let channels = layout.channels / images;
     let outputs = outputs("conv3x3", weight, Some(bias), 9 * channels)?;
     let to = layout.with_channels(images * outputs);
-    let mut out = vec![E::default(); to.len()];
-    correlate(&mut out, &x.values(), layout, images, weight.values(), Some(bias.values()));
+    let out = correlate(x.pool(), x.values(), layout, images, weight.values(), Some(bias.values()));
 
     let (x, tape) = x.split();
     let (weight, bias) = (weight.clone(), bias.clone());
     let wanted = T::OWNS_TAPE && (x.is_wanted() || weight.is_tracked() || bias.is_tracked());
     record(out, to, tape, wanted, move |dy, grads| {
-        x.add_gradient(grads, |dx| {
-            correlate(dx, &dy, to, images, &mirrored(weight.values(), channels), None);
-        })?;
+        x.add_gradient(grads, || correlate(x.pool(), &dy, to, images, &mirrored(weight.values(), channels), None))?;
         weight.add_gradient(grads, |dweight| {
-            let values = x.values();
             for (band, dy) in dy.chunks(to.band_len()).enumerate() {
                 let pixels = dy.len() / to.channels;
                 for (image, dy) in dy.chunks_exact(outputs * pixels).enumerate() {
-                    let columns = neighbourhoods(&values, layout, band, image * channels..(image + 1) * channels);
+                    let of_image = image * channels..(image + 1) * channels;
+                    let columns = neighbourhoods(x.pool(), x.values(), layout, band, of_image);
                     let columns = Matrix::new(&columns, 9 * channels, pixels).transposed();
                     multiply(dweight, true, Matrix::new(dy, outputs, pixels), columns);
                 }
@@ -115,36 +112,59 @@ fn add_sums<E: Scalar>(sums: &mut [E], values: &[E], layout: Layout) {
     }
 }
 
-/// Adds the convolution of each image with 3x3 `weight`s, or sets `out` to it plus `bias` where there is one.
-fn correlate<E: Scalar>(out: &mut [E], x: &[E], layout: Layout, images: usize, weight: &[E], bias: Option<&[E]>) {
+/// The convolution of each image with 3x3 `weight`s, plus `bias` where there is one.
+fn correlate<E: Scalar>(
+    pool: &Pool<E>,
+    x: &[E],
+    layout: Layout,
+    images: usize,
+    weight: &[E],
+    bias: Option<&[E]>,
+) -> Buffer<E> {
     let channels = layout.channels / images;
     let outputs = weight.len() / (9 * channels);
     let weight = Matrix::new(weight, outputs, 9 * channels);
-    out.par_chunks_mut(layout.with_channels(images * outputs).band_len()).enumerate().for_each(|(band, out)| {
-        let pixels = out.len() / (images * outputs);
+    let to = layout.with_channels(images * outputs);
+    let mut out = pool.take(to.len());
+    out.par_chunks_mut(to.band_len()).enumerate().for_each(|(band, out)| {
+        let pixels = out.len() / to.channels;
         for (image, out) in out.chunks_exact_mut(outputs * pixels).enumerate() {
-            if bias.is_some() {
-                fill(out, outputs, bias);
-            }
-            let columns = neighbourhoods(x, layout, band, image * channels..(image + 1) * channels);
+            fill(out, outputs, bias);
+            let columns = neighbourhoods(pool, x, layout, band, image * channels..(image + 1) * channels);
             multiply(out, true, weight, Matrix::new(&columns, 9 * channels, pixels));
         }
     });
+    out
 }
 
 /// The 3x3 neighbourhoods of the pixels of a band, in some of its channels: (channels * 9, pixels), zero outside the image.
-fn neighbourhoods<E: Scalar>(x: &[E], layout: Layout, band: usize, channels: Range<usize>) -> Vec<E> {
+fn neighbourhoods<E: Scalar>(
+    pool: &Pool<E>,
+    x: &[E],
+    layout: Layout,
+    band: usize,
+    channels: Range<usize>,
+) -> Buffer<E> {
     let (rows, width) = (layout.band_rows(band), layout.width);
-    let mut columns = vec![E::default(); 9 * channels.len() * rows.len() * width];
+    let mut columns = pool.take(9 * channels.len() * rows.len() * width);
     for (line, to) in columns.chunks_exact_mut(width).enumerate() {
         let (row, tap) = (rows.start + line % rows.len(), line / rows.len());
         let (channel, dy, dx) = (channels.start + tap / 9, tap % 9 / 3, tap % 3);
-        let Some(row) = (row + dy).checked_sub(1).filter(|&row| row < layout.height) else { continue };
+        let Some(row) = (row + dy).checked_sub(1).filter(|&row| row < layout.height) else {
+            to.fill(E::default());
+            continue;
+        };
         let from = &x[layout.row(channel, row)];
         match dx {
-            0 => to[1..].copy_from_slice(&from[..width - 1]),
+            0 => {
+                to[0] = E::default();
+                to[1..].copy_from_slice(&from[..width - 1]);
+            }
             1 => to.copy_from_slice(from),
-            _ => to[..width - 1].copy_from_slice(&from[1..]),
+            _ => {
+                to[..width - 1].copy_from_slice(&from[1..]);
+                to[width - 1] = E::default();
+            }
         }
     }
     columns

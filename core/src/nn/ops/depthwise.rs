@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::expect;
 use crate::error::Result;
-use crate::nn::kernels::{add, depthwise, depthwise_backward_weight, sum};
+use crate::nn::kernels::{depthwise, depthwise_backward_weight, sum};
 use crate::nn::layout::Layout;
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Param, Planes, record};
@@ -19,30 +19,28 @@ pub(crate) fn depthwise3x3<E: Scalar, T: Tape<E, Cpu>>(
     let layout = x.layout;
     expect("depthwise weight", weight, 9 * layout.channels)?;
     expect("depthwise bias", bias, layout.channels)?;
+    let mut out = x.pool().take(layout.len());
     let values = x.values();
-    let mut out = vec![E::default(); layout.len()];
     out.par_chunks_mut(layout.band_len()).enumerate().for_each(|(band, out)| {
-        depthwise_band(out, &values, layout, band, |c| (taps(weight.values(), c), bias.values()[c]));
+        depthwise_band(out, values, layout, band, |c| (taps(weight.values(), c), bias.values()[c]));
     });
-    drop(values);
 
     let (x, tape) = x.split();
     let (weight, bias) = (weight.clone(), bias.clone());
     let wanted = T::OWNS_TAPE && (x.is_wanted() || weight.is_tracked() || bias.is_tracked());
     record(out, layout, tape, wanted, move |dy, grads| {
-        x.add_gradient(grads, |dx| {
+        x.add_gradient(grads, || {
+            let mut dx = x.pool().take(layout.len());
             dx.par_chunks_mut(layout.band_len()).enumerate().for_each(|(band, dx)| {
-                let mut back = vec![E::default(); dx.len()];
-                depthwise_band(&mut back, &dy, layout, band, |c| (turned(weight.values(), c), E::default()));
-                add(dx, &back);
+                depthwise_band(dx, &dy, layout, band, |c| (turned(weight.values(), c), E::default()));
             });
+            dx
         })?;
         weight.add_gradient(grads, |dweight| {
-            let values = x.values();
             for (band, dy) in dy.chunks(layout.band_len()).enumerate() {
                 let pixels = dy.len() / layout.channels;
                 for (c, (dy, dweight)) in dy.chunks_exact(pixels).zip(dweight.chunks_exact_mut(9)).enumerate() {
-                    let (above, rows, below) = channel_rows(&values, layout, band, c);
+                    let (above, rows, below) = channel_rows(x.values(), layout, band, c);
                     depthwise_backward_weight(dweight, dy, above, rows, below, layout.width);
                 }
             }

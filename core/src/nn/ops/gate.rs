@@ -4,7 +4,7 @@ use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::nn::kernels::{add, gate, gate_backward};
+use crate::nn::kernels::{gate, gate_backward};
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Planes, record};
 
@@ -18,18 +18,19 @@ pub(crate) fn simple_gate<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>) -> Result
         return Err(Error::shape("gate", "an even number of channels", layout.channels.to_string()));
     }
     let to = layout.with_channels(layout.channels / 2);
-    let values = x.values();
-    let mut out = vec![E::default(); to.len()];
-    let bands = out.par_chunks_mut(to.band_len()).zip(values.par_chunks(layout.band_len()));
+    let mut out = x.pool().take(to.len());
+    let bands = out.par_chunks_mut(to.band_len()).zip(x.values().par_chunks(layout.band_len()));
     bands.for_each(|(out, x)| gate(out, x));
 
     let (x, tape) = x.split();
     let wanted = T::OWNS_TAPE && x.is_wanted();
     record(out, to, tape, wanted, move |dy, grads| {
-        let mut values = x.values();
-        let bands = values.par_chunks_mut(layout.band_len()).zip(dy.par_chunks(to.band_len()));
-        bands.for_each(|(x, dy)| gate_backward(x, dy));
-        x.add_gradient(grads, |dx| add(dx, &values))
+        x.add_gradient(grads, || {
+            let mut dx = x.pool().copy(x.values());
+            let bands = dx.par_chunks_mut(layout.band_len()).zip(dy.par_chunks(to.band_len()));
+            bands.for_each(|(dx, dy)| gate_backward(dx, dy));
+            dx
+        })
     })
 }
 

@@ -11,7 +11,7 @@ use crate::nn::layout::Layout;
 use crate::nn::matrix::{Matrix, multiply};
 use crate::nn::nafnet::Layer;
 use crate::nn::scalar::Scalar;
-use crate::nn::tape::{Param, Planes, record};
+use crate::nn::tape::{Buffer, Param, Planes, Pool, record};
 
 /// The parameters of the graph convolution on C channels, the nodes of the graph.
 #[derive(Clone)]
@@ -48,13 +48,13 @@ pub(crate) fn graph_convolution<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, gra
         return Err(Error::shape("graph feature", format!("{c} channels"), feature.layout.channels.to_string()));
     }
 
-    let means = neighbourhood_means(&x.values(), layout);
+    let means = neighbourhood_means(x.values(), layout);
     let query = affine(graph.query.weight.values(), &means, graph.query.bias.values());
     let key = affine(graph.key.weight.values(), &means, graph.key.bias.values());
     let edges: Vec<E> = (0..c * c).map(|e| (query[e / c] - key[e % c]).tanh()).collect();
     let adjacency: Vec<E> = graph.adjacency.values().iter().zip(&edges).map(|(&fixed, &edge)| fixed + edge).collect();
     let lambda = graph.lambda.values()[0];
-    let mut out = along_edges(&feature.values(), layout, &adjacency, graph.diagonal);
+    let mut out = along_edges(x.pool(), feature.values(), layout, &adjacency, graph.diagonal);
     out.par_iter_mut().for_each(|value| *value = rectified(lambda * *value));
 
     let ((x, tape), (feature, other)) = (x.split(), feature.split());
@@ -63,9 +63,8 @@ pub(crate) fn graph_convolution<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, gra
     let tracked = coupled || graph.adjacency.is_tracked() || graph.lambda.is_tracked();
     let wanted = T::OWNS_TAPE && (x.is_wanted() || feature.is_wanted() || tracked);
     record(out, layout, tape.merge(other), wanted, move |mut dy, grads| {
-        let values = feature.values();
-        let sums = along_edges(&values, layout, &adjacency, graph.diagonal);
-        for (dy, &sum) in dy.iter_mut().zip(&sums) {
+        let sums = along_edges(x.pool(), feature.values(), layout, &adjacency, graph.diagonal);
+        for (dy, &sum) in dy.iter_mut().zip(sums.iter()) {
             if lambda * sum <= E::default() {
                 *dy = E::default();
             }
@@ -74,7 +73,7 @@ pub(crate) fn graph_convolution<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, gra
         drop(sums);
         dy.iter_mut().for_each(|dy| *dy *= lambda);
 
-        let dadjacency = edge_gradients(&values, &dy, layout, graph.diagonal);
+        let dadjacency = edge_gradients(feature.values(), &dy, layout, graph.diagonal);
         graph.adjacency.add_gradient(grads, |gradient| add(gradient, &dadjacency))?;
         let (mut dquery, mut dkey) = (vec![E::default(); c], vec![E::default(); c]);
         for (e, (&gradient, &edge)) in dadjacency.iter().zip(&edges).enumerate() {
@@ -91,18 +90,24 @@ pub(crate) fn graph_convolution<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, gra
             })?;
             multiply(&mut dmeans, true, Matrix::new(layer.weight.values(), c, 9 * c).transposed(), gradient_column);
         }
-        feature.add_gradient(grads, |dfeature| {
+        feature.add_gradient(grads, || {
+            let mut dfeature = feature.pool().take(layout.len());
             dfeature.par_chunks_mut(layout.band_len()).zip(dy.par_chunks(layout.band_len())).for_each(|(out, dy)| {
                 if graph.diagonal {
                     for (j, (out, dy)) in rows(out, c).zip(dy.chunks_exact(dy.len() / c)).enumerate() {
-                        out.iter_mut().zip(dy).for_each(|(out, &dy)| *out += dy * adjacency[j * c + j]);
+                        out.iter_mut().zip(dy).for_each(|(out, &dy)| *out = dy * adjacency[j * c + j]);
                     }
                 } else {
-                    multiply(out, true, Matrix::new(&adjacency, c, c), Matrix::new(dy, c, dy.len() / c));
+                    multiply(out, false, Matrix::new(&adjacency, c, c), Matrix::new(dy, c, dy.len() / c));
                 }
             });
+            dfeature
         })?;
-        x.add_gradient(grads, |dx| add_means_gradient(dx, layout, &dmeans))
+        x.add_gradient(grads, || {
+            let mut dx = x.pool().zeros(layout.len());
+            add_means_gradient(&mut dx, layout, &dmeans);
+            dx
+        })
     })
 }
 
@@ -117,13 +122,13 @@ fn rows<E>(band: &mut [E], channels: usize) -> std::slice::ChunksExactMut<'_, E>
 }
 
 /// `sum_i h_i A_ij` for every channel j.
-fn along_edges<E: Scalar>(feature: &[E], layout: Layout, adjacency: &[E], diagonal: bool) -> Vec<E> {
+fn along_edges<E: Scalar>(pool: &Pool<E>, feature: &[E], layout: Layout, adjacency: &[E], diagonal: bool) -> Buffer<E> {
     let c = layout.channels;
-    let mut out = if diagonal { feature.to_vec() } else { vec![E::default(); feature.len()] };
+    let mut out = pool.take(feature.len());
     out.par_chunks_mut(layout.band_len()).zip(feature.par_chunks(layout.band_len())).for_each(|(out, feature)| {
         if diagonal {
-            for (j, row) in rows(out, c).enumerate() {
-                row.iter_mut().for_each(|value| *value *= adjacency[j * c + j]);
+            for (j, (out, feature)) in rows(out, c).zip(feature.chunks_exact(feature.len() / c)).enumerate() {
+                out.iter_mut().zip(feature).for_each(|(out, &feature)| *out = feature * adjacency[j * c + j]);
             }
         } else {
             let adjacency = Matrix::new(adjacency, c, c).transposed();

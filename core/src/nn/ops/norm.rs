@@ -21,28 +21,27 @@ pub(crate) fn layer_norm<E: Scalar, T: Tape<E, Cpu>>(
     let layout = x.layout;
     expect("norm weight", weight, layout.channels)?;
     expect("norm bias", bias, layout.channels)?;
-    let values = x.values();
-    let mut out = vec![E::default(); layout.len()];
-    let bands = out.par_chunks_mut(layout.band_len()).zip(values.par_chunks(layout.band_len()));
+    let mut out = x.pool().take(layout.len());
+    let bands = out.par_chunks_mut(layout.band_len()).zip(x.values().par_chunks(layout.band_len()));
     bands.for_each(|(out, x)| norm(out, x, weight.values(), bias.values()));
-    drop(values);
 
     let (x, tape) = x.split();
     let (weight, bias) = (weight.clone(), bias.clone());
     let tracked = weight.is_tracked() || bias.is_tracked();
     record(out, layout, tape, T::OWNS_TAPE && (x.is_wanted() || tracked), move |dy, grads| {
-        let values = x.values();
-        x.add_gradient(grads, |dx| {
+        x.add_gradient(grads, || {
+            let mut dx = x.pool().zeros(layout.len());
             let bands = dx.par_chunks_mut(layout.band_len()).zip(dy.par_chunks(layout.band_len()));
             bands
-                .zip(values.par_chunks(layout.band_len()))
+                .zip(x.values().par_chunks(layout.band_len()))
                 .for_each(|((dx, dy), x)| norm_backward(dx, dy, x, weight.values()));
+            dx
         })?;
         if !tracked {
             return Ok(());
         }
         let (mut dweight, mut dbias) = (vec![E::default(); layout.channels], vec![E::default(); layout.channels]);
-        for (dy, x) in dy.chunks(layout.band_len()).zip(values.chunks(layout.band_len())) {
+        for (dy, x) in dy.chunks(layout.band_len()).zip(x.values().chunks(layout.band_len())) {
             norm_backward_params(&mut dweight, &mut dbias, dy, x);
         }
         weight.add_gradient(grads, |gradient| add(gradient, &dweight))?;

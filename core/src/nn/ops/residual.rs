@@ -5,46 +5,46 @@ use rayon::prelude::*;
 
 use super::expect;
 use crate::error::{Error, Result};
-use crate::nn::kernels::{add, add_scaled, dot};
+use crate::nn::kernels::{add_scaled, dot, scale};
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Param, Planes, record};
 
-/// `x + scale * branch`, `scale` (C) per channel.
+/// `x + factor * branch`, `factor` (C) per channel.
 pub(crate) fn residual<E: Scalar, T: Tape<E, Cpu>>(
     x: Planes<E, T>,
     branch: Planes<E, T>,
-    scale: &Param<E>,
+    factor: &Param<E>,
 ) -> Result<Planes<E, T>> {
     let layout = x.layout;
-    expect("residual scale", scale, layout.channels)?;
+    expect("residual factor", factor, layout.channels)?;
     if branch.layout != layout {
         return Err(Error::shape("residual", format!("{layout:?}"), format!("{:?}", branch.layout)));
     }
-    let (mut out, values) = (x.values(), branch.values());
+    let mut out = x.pool().copy(x.values());
     out.par_chunks_mut(layout.band_len())
-        .zip(values.par_chunks(layout.band_len()))
-        .for_each(|(out, branch)| add_scaled(out, branch, scale.values()));
-    drop(values);
+        .zip(branch.values().par_chunks(layout.band_len()))
+        .for_each(|(out, branch)| add_scaled(out, branch, factor.values()));
 
     let ((x, tape), (branch, other)) = (x.split(), branch.split());
-    let scale = scale.clone();
-    let wanted = T::OWNS_TAPE && (x.is_wanted() || branch.is_wanted() || scale.is_tracked());
+    let factor = factor.clone();
+    let wanted = T::OWNS_TAPE && (x.is_wanted() || branch.is_wanted() || factor.is_tracked());
     record(out, layout, tape.merge(other), wanted, move |dy, grads| {
-        x.add_gradient(grads, |dx| add(dx, &dy))?;
-        branch.add_gradient(grads, |dbranch| {
+        branch.add_gradient(grads, || {
+            let mut dbranch = branch.pool().take(layout.len());
             let bands = dbranch.par_chunks_mut(layout.band_len()).zip(dy.par_chunks(layout.band_len()));
-            bands.for_each(|(dbranch, dy)| add_scaled(dbranch, dy, scale.values()));
+            bands.for_each(|(dbranch, dy)| scale(dbranch, dy, factor.values()));
+            dbranch
         })?;
-        scale.add_gradient(grads, |dscale| {
-            let values = branch.values();
-            for (dy, branch) in dy.chunks(layout.band_len()).zip(values.chunks(layout.band_len())) {
+        factor.add_gradient(grads, |dscale| {
+            for (dy, branch) in dy.chunks(layout.band_len()).zip(branch.values().chunks(layout.band_len())) {
                 let pixels = dy.len() / layout.channels;
                 let rows = dy.chunks_exact(pixels).zip(branch.chunks_exact(pixels));
                 for (dscale, (dy, branch)) in dscale.iter_mut().zip(rows) {
                     *dscale += dot(dy, branch);
                 }
             }
-        })
+        })?;
+        x.add_gradient(grads, || dy)
     })
 }
 

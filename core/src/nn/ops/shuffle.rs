@@ -4,7 +4,6 @@ use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::nn::kernels::add;
 use crate::nn::layout::Layout;
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Planes, record};
@@ -26,10 +25,10 @@ pub(crate) fn pixel_shuffle<E: Scalar, T: Tape<E, Cpu>>(
         Some(skip) if skip.layout != to => {
             return Err(Error::shape("skip", format!("{to:?}"), format!("{:?}", skip.layout)));
         }
-        Some(skip) => skip.values(),
-        None => vec![E::default(); to.len()],
+        Some(skip) => x.pool().copy(skip.values()),
+        None => x.pool().zeros(to.len()),
     };
-    add_shuffled(&mut out, to, &x.values(), from);
+    add_shuffled(&mut out, to, x.values(), from);
 
     let (x, tape) = x.split();
     let (skip, tape) = match skip.map(Planes::split) {
@@ -38,8 +37,12 @@ pub(crate) fn pixel_shuffle<E: Scalar, T: Tape<E, Cpu>>(
     };
     let wanted = T::OWNS_TAPE && (x.is_wanted() || skip.as_ref().is_some_and(Planes::is_wanted));
     record(out, to, tape, wanted, move |dy, grads| {
-        x.add_gradient(grads, |dx| add_unshuffled(dx, from, &dy, to))?;
-        skip.map_or(Ok(()), |skip| skip.add_gradient(grads, |dskip| add(dskip, &dy)))
+        x.add_gradient(grads, || {
+            let mut dx = x.pool().take(from.len());
+            unshuffle(&mut dx, from, &dy, to);
+            dx
+        })?;
+        skip.map_or(Ok(()), |skip| skip.add_gradient(grads, || dy))
     })
 }
 
@@ -50,11 +53,17 @@ pub(crate) fn pixel_unshuffle<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>) -> Re
         return Err(Error::shape("pixel unshuffle", "even sides", format!("{} x {}", from.height, from.width)));
     }
     let to = Layout { channels: 4 * from.channels, height: from.height / 2, width: from.width / 2 };
-    let mut out = vec![E::default(); to.len()];
-    add_unshuffled(&mut out, to, &x.values(), from);
+    let mut out = x.pool().take(to.len());
+    unshuffle(&mut out, to, x.values(), from);
     let (x, tape) = x.split();
     let wanted = T::OWNS_TAPE && x.is_wanted();
-    record(out, to, tape, wanted, move |dy, grads| x.add_gradient(grads, |dx| add_shuffled(dx, from, &dy, to)))
+    record(out, to, tape, wanted, move |dy, grads| {
+        x.add_gradient(grads, || {
+            let mut dx = x.pool().zeros(from.len());
+            add_shuffled(&mut dx, from, &dy, to);
+            dx
+        })
+    })
 }
 
 /// Adds (4C, h, w) to (C, 2h, 2w).
@@ -74,15 +83,15 @@ fn add_shuffled<E: Scalar>(wide: &mut [E], wide_layout: Layout, deep: &[E], deep
     });
 }
 
-/// Adds (C, 2h, 2w) to (4C, h, w).
-fn add_unshuffled<E: Scalar>(deep: &mut [E], deep_layout: Layout, wide: &[E], wide_layout: Layout) {
+/// (C, 2h, 2w) to (4C, h, w).
+fn unshuffle<E: Scalar>(deep: &mut [E], deep_layout: Layout, wide: &[E], wide_layout: Layout) {
     deep.par_chunks_mut(deep_layout.band_len()).enumerate().for_each(|(band, deep)| {
         let rows = deep_layout.band_rows(band);
         for (line, to) in deep.chunks_exact_mut(deep_layout.width).enumerate() {
             let (channel, row) = (line / rows.len(), rows.start + line % rows.len());
             let from = &wide[wide_layout.row(channel / 4, 2 * row + channel % 4 / 2)];
             for (to, from) in to.iter_mut().zip(from.chunks_exact(2)) {
-                *to += from[channel % 2];
+                *to = from[channel % 2];
             }
         }
     });
