@@ -309,7 +309,7 @@ impl Code {
     /// photo rows and columns rounded up to multiples of 2^levels and divided by 2^level.
     pub fn skip(&self, level: usize) -> Option<Vec<f32>> {
         let planes = self.skips.get(level)?;
-        Some(planes.layout.unpack(&planes.values(), planes.layout.height, planes.layout.width))
+        Some(planes.layout.unpack(planes.values(), planes.layout.height, planes.layout.width))
     }
 }
 
@@ -443,7 +443,7 @@ impl Network {
         let photos = Planes::pooled(layout.pack(&photos.concat(), height, width), layout, &pool)?;
         let Encoded { latent, skips } = self.encoder.run(photos, control)?;
         let layout = latent.layout;
-        let latent = layout.unpack(&latent.values(), layout.height, layout.width);
+        let latent = layout.unpack(latent.values(), layout.height, layout.width);
         Ok(Code { latent, layout, skips: skips.into_iter().map(Arc::new).collect(), pool, height, width })
     }
 
@@ -453,7 +453,7 @@ impl Network {
     /// [`Error::ShapeMismatch`] if `latent` has not the length of `code`'s; [`Error::Cancelled`].
     pub fn decode(&self, latent: &[f32], code: &Code, control: &mut Control<'_>) -> Result<Vec<f32>> {
         let feature = self.decoder.run(self.start(latent, code)?, &skips(code), control)?;
-        Ok(feature.layout.unpack(&feature.values(), code.height, code.width))
+        Ok(feature.layout.unpack(feature.values(), code.height, code.width))
     }
 
     /// As [`Network::decode`], and what takes a gradient back to the latent code.
@@ -467,7 +467,7 @@ impl Network {
         control: &mut Control<'_>,
     ) -> Result<(Vec<f32>, DecoderTrace)> {
         let trace = self.decoder.run_traced(self.start(latent, code)?, &skips(code), control)?;
-        let feature = trace.feature.layout.unpack(&trace.feature.values(), code.height, code.width);
+        let feature = trace.feature.layout.unpack(trace.feature.values(), code.height, code.width);
         Ok((feature, DecoderTrace { trace, layout: code.layout, height: code.height, width: code.width }))
     }
 

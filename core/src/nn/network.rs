@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use dfdx::tensor::{Cpu, OwnedTape, Tape};
+use dfdx::tensor::{Cpu, Tape};
 
 use super::config::{Gcn, NetworkConfig};
 use super::nafnet::{Block, Layer, block};
 use super::ops::{Graph, conv3x3, graph_convolution, pixel_shuffle, pixel_unshuffle, pointwise};
 use super::scalar::Scalar;
-use super::tape::{Param, Planes};
+use super::tape::{End, Param, Planes, Slot};
 use crate::error::Result;
 use crate::fit::progress::Control;
 
@@ -169,9 +169,9 @@ impl<E: Scalar> Decoder<E> {
         for part in self.parts() {
             control.poll()?;
             let traced = part.run(trace.feature.traced(), skips)?;
-            let (out, tape) = traced.split();
-            let input = std::mem::replace(&mut trace.feature, out.branch());
-            trace.parts.push(Taped { input, output: out.put(tape) });
+            let (output, end) = traced.cut();
+            let input = std::mem::replace(&mut trace.feature, output).slot();
+            trace.parts.push(Taped { input, end });
         }
         Ok(trace)
     }
@@ -185,19 +185,19 @@ pub(crate) struct Trace<E: Scalar> {
     parts: Vec<Taped<E>>,
 }
 
-/// Input and output of a part; the output holds the part's tape.
+/// Where the gradient of a part's input goes, and the end of the part's tape.
 struct Taped<E: Scalar> {
-    input: Planes<E>,
-    output: Planes<E, OwnedTape<E, Cpu>>,
+    input: Slot<E>,
+    end: End<E>,
 }
 
 impl<E: Scalar> Trace<E> {
     /// The gradient with respect to the latent code, given that with respect to the material feature.
     pub fn pull_back(self, mut gradient: Vec<E>, control: &mut Control<'_>) -> Result<Vec<E>> {
         drop(self.feature);
-        for Taped { input, output } in self.parts.into_iter().rev() {
+        for Taped { input, end } in self.parts.into_iter().rev() {
             control.poll()?;
-            gradient = output.pull_back(gradient)?.of(&input)?;
+            gradient = end.pull_back(gradient)?.of(&input)?;
         }
         Ok(gradient)
     }
@@ -281,7 +281,7 @@ mod tests {
         let mut control = Control::new(&mut callback, CancelToken::new());
         let planes = Planes::constant(latent, layout(16, 1)).unwrap();
         let trace = decoder.run_traced(planes, &skips, &mut control).unwrap();
-        compare(&trace.feature.values(), &values, 1e-12, "feature");
+        compare(trace.feature.values(), &values, 1e-12, "feature");
         compare(&trace.pull_back(seed, &mut control).unwrap(), &expected, 1e-7, "gradient");
     }
 

@@ -135,6 +135,33 @@ impl<E: Scalar> Param<E> {
     }
 }
 
+/// Where the gradient with respect to an image goes, if anybody asks for it.
+pub(crate) struct Slot<E: Scalar> {
+    key: Key<E>,
+    wanted: bool,
+}
+
+impl<E: Scalar> Slot<E> {
+    /// Whether the gradient is asked for.
+    pub fn is_wanted(&self) -> bool {
+        self.wanted
+    }
+
+    /// Adds what `gradient` gives to the gradient, if it is asked for.
+    pub fn add(&self, grads: &mut Grads<E>, gradient: impl FnOnce() -> Buffer<E>) -> Returned {
+        if !self.wanted {
+            return Ok(());
+        }
+        let (sum, part): (&mut Vec<E>, Buffer<E>) = (grads.get_or_alloc_mut(&self.key)?, gradient());
+        if sum.is_empty() {
+            *sum = part.into_vec();
+        } else {
+            super::kernels::add(sum, &part);
+        }
+        Ok(())
+    }
+}
+
 /// The channels of an image on the tape.
 pub(crate) struct Planes<E: Scalar, T = NoneTape> {
     key: Key<E, T>,
@@ -180,18 +207,14 @@ impl<E: Scalar> Planes<E> {
         self.wanted
     }
 
+    /// Where the gradient goes, without the values: an operation that does not need them on the way back lets them go.
+    pub fn slot(&self) -> Slot<E> {
+        Slot { key: self.key.clone(), wanted: self.wanted }
+    }
+
     /// Adds what `gradient` gives to the gradient, if it is asked for.
     pub fn add_gradient(&self, grads: &mut Grads<E>, gradient: impl FnOnce() -> Buffer<E>) -> Returned {
-        if !self.wanted {
-            return Ok(());
-        }
-        let (sum, part): (&mut Vec<E>, Buffer<E>) = (grads.get_or_alloc_mut(&self.key)?, gradient());
-        if sum.is_empty() {
-            *sum = part.into_vec();
-        } else {
-            super::kernels::add(sum, &part);
-        }
-        Ok(())
+        self.slot().add(grads, gradient)
     }
 
     /// The image with `tape`.
@@ -250,17 +273,32 @@ pub(crate) fn record<E: Scalar, T: Tape<E, Cpu>>(
     Ok(planes.put(tape))
 }
 
+/// The end of a tape.
+pub(crate) struct End<E: Scalar> {
+    key: Key<E>,
+    len: usize,
+    tape: OwnedTape<E, Cpu>,
+}
+
 /// Gradients, once a tape has been run backwards.
 pub(crate) struct Pullback<E: Scalar>(Grads<E>);
 
 impl<E: Scalar> Planes<E, OwnedTape<E, Cpu>> {
-    /// Runs the tape backwards from `gradient`, the gradient with respect to this image.
+    /// Cuts the tape off.
+    pub fn cut(self) -> (Planes<E>, End<E>) {
+        let (planes, tape) = self.split();
+        let end = End { key: planes.key.clone(), len: planes.layout.len(), tape };
+        (planes, end)
+    }
+}
+
+impl<E: Scalar> End<E> {
+    /// Runs the tape backwards from `gradient`, the gradient with respect to the image it was cut off from.
     pub fn pull_back(self, gradient: Vec<E>) -> Result<Pullback<E>> {
-        let Planes { key, layout, .. } = self;
-        if gradient.len() != layout.len() {
-            return Err(Error::shape("gradient", layout.len().to_string(), gradient.len().to_string()));
+        let Self { key, len, mut tape } = self;
+        if gradient.len() != len {
+            return Err(Error::shape("gradient", len.to_string(), gradient.len().to_string()));
         }
-        let (key, mut tape) = key.split_tape();
         tape.add_backward_op(move |grads| {
             **grads.get_or_alloc_mut(&key)? = gradient;
             Ok(())
@@ -272,10 +310,9 @@ impl<E: Scalar> Planes<E, OwnedTape<E, Cpu>> {
 }
 
 impl<E: Scalar> Pullback<E> {
-    /// Takes the gradient with respect to `planes` out.
-    pub fn of(&mut self, planes: &Planes<E>) -> Result<Vec<E>> {
-        let gradient = std::mem::take::<Vec<E>>(self.0.get_or_alloc_mut(&planes.key).map_err(tape_error)?);
-        Ok(if gradient.is_empty() { vec![E::default(); planes.layout.len()] } else { gradient })
+    /// Takes the gradient with respect to what `slot` stands for out; empty if it has no influence.
+    pub fn of(&mut self, slot: &Slot<E>) -> Result<Vec<E>> {
+        Ok(std::mem::take(&mut **self.0.get_or_alloc_mut(&slot.key).map_err(tape_error)?))
     }
 
     /// The gradient with respect to `param`, where it is tracked.

@@ -34,12 +34,12 @@ pub struct Expected(Vec<u8>);
 impl Expected {
     /// Reads the file.
     pub fn open(path: &std::path::Path) -> Self {
-        Self(std::fs::read(path).unwrap())
+        Self(std::fs::read(path).expect("a readable file"))
     }
 
     /// The values of tensor `name`.
     pub fn f64(&self, name: &str) -> Vec<f64> {
-        let file = safetensors::SafeTensors::deserialize(&self.0).unwrap();
+        let file = safetensors::SafeTensors::deserialize(&self.0).expect("a safetensors file");
         let tensor = file.tensor(name).unwrap_or_else(|error| panic!("{name}: {error}"));
         match tensor.dtype() {
             safetensors::Dtype::F64 => tensor.data().as_chunks().0.iter().map(|&v| f64::from_le_bytes(v)).collect(),

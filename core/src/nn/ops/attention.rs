@@ -103,7 +103,7 @@ mod tests {
         let weight = Param::constant(vec![1.0, 2.0, -1.0, 0.5].into());
         let out = channel_attention(x, &weight, &Param::constant(vec![0.5, 0.25].into())).unwrap();
         let (a, b) = (2.0 + 2.0 * 15.0 + 0.5, -2.0 + 7.5 + 0.25);
-        compare(&out.values(), &[a, 3.0 * a, 10.0 * b, 20.0 * b], 1e-15, "attention");
+        compare(out.values(), &[a, 3.0 * a, 10.0 * b, 20.0 * b], 1e-15, "attention");
     }
 
     #[test]

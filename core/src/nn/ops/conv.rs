@@ -30,20 +30,23 @@ pub(crate) fn pointwise<E: Scalar, T: Tape<E, Cpu>>(
         multiply(out, true, Matrix::new(weight.values(), outputs, layout.channels), x);
     });
 
+    let pool = x.pool().clone();
     let (x, tape) = x.split();
+    let (slot, x) = (x.slot(), weight.is_tracked().then_some(x));
     let (weight, bias) = (weight.clone(), bias.cloned());
     let tracked = weight.is_tracked() || bias.as_ref().is_some_and(Param::is_tracked);
-    record(out, to, tape, T::OWNS_TAPE && (x.is_wanted() || tracked), move |dy, grads| {
-        x.add_gradient(grads, || {
+    record(out, to, tape, T::OWNS_TAPE && (slot.is_wanted() || tracked), move |dy, grads| {
+        slot.add(grads, || {
             let weight = Matrix::new(weight.values(), outputs, layout.channels).transposed();
-            let mut dx = x.pool().take(layout.len());
+            let mut dx = pool.take(layout.len());
             dx.par_chunks_mut(layout.band_len()).zip(dy.par_chunks(to.band_len())).for_each(|(dx, dy)| {
                 multiply(dx, false, weight, Matrix::new(dy, outputs, dy.len() / outputs));
             });
             dx
         })?;
         weight.add_gradient(grads, |dweight| {
-            for (dy, x) in dy.chunks(to.band_len()).zip(x.values().chunks(layout.band_len())) {
+            let x = x.as_ref().map_or(&[][..], Planes::values);
+            for (dy, x) in dy.chunks(to.band_len()).zip(x.chunks(layout.band_len())) {
                 let pixels = dy.len() / outputs;
                 let x = Matrix::new(x, layout.channels, pixels).transposed();
                 multiply(dweight, true, Matrix::new(dy, outputs, pixels), x);
@@ -70,17 +73,20 @@ pub(crate) fn conv3x3<E: Scalar, T: Tape<E, Cpu>>(
     let to = layout.with_channels(images * outputs);
     let out = correlate(x.pool(), x.values(), layout, images, weight.values(), Some(bias.values()));
 
+    let pool = x.pool().clone();
     let (x, tape) = x.split();
+    let (slot, x) = (x.slot(), weight.is_tracked().then_some(x));
     let (weight, bias) = (weight.clone(), bias.clone());
-    let wanted = T::OWNS_TAPE && (x.is_wanted() || weight.is_tracked() || bias.is_tracked());
+    let wanted = T::OWNS_TAPE && (slot.is_wanted() || weight.is_tracked() || bias.is_tracked());
     record(out, to, tape, wanted, move |dy, grads| {
-        x.add_gradient(grads, || correlate(x.pool(), &dy, to, images, &mirrored(weight.values(), channels), None))?;
+        slot.add(grads, || correlate(&pool, &dy, to, images, &mirrored(weight.values(), channels), None))?;
         weight.add_gradient(grads, |dweight| {
+            let Some(x) = x else { return };
             for (band, dy) in dy.chunks(to.band_len()).enumerate() {
                 let pixels = dy.len() / to.channels;
                 for (image, dy) in dy.chunks_exact(outputs * pixels).enumerate() {
                     let of_image = image * channels..(image + 1) * channels;
-                    let columns = neighbourhoods(x.pool(), x.values(), layout, band, of_image);
+                    let columns = neighbourhoods(&pool, x.values(), layout, band, of_image);
                     let columns = Matrix::new(&columns, 9 * channels, pixels).transposed();
                     multiply(dweight, true, Matrix::new(dy, outputs, pixels), columns);
                 }
@@ -195,7 +201,7 @@ mod tests {
         let planes = Planes::constant(layout.pack(&x, 20, 40), layout).unwrap();
         let params = [&weight, &bias].map(|values| Param::constant(values.clone().into()));
         let out = conv3x3(planes, 1, &params[0], &params[1]).unwrap();
-        let out = out.layout.unpack(&out.values(), 20, 40);
+        let out = out.layout.unpack(out.values(), 20, 40);
         for o in 0..2 {
             for i in 0..20isize {
                 for j in 0..40isize {

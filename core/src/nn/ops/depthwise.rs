@@ -114,7 +114,7 @@ mod tests {
             }
             let expected = conv3x3(x.branch(), 1, &Param::constant(full.into()), &bias).unwrap();
             let got = depthwise3x3(x, &Param::constant(weight.into()), &bias).unwrap();
-            compare(&got.values(), &expected.values(), 1e-14, "depthwise");
+            compare(got.values(), expected.values(), 1e-14, "depthwise");
         }
     }
 

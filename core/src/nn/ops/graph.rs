@@ -231,7 +231,7 @@ mod tests {
         let x = Planes::constant(numbers(layout.len(), 50), layout).unwrap();
         let planar = |i: usize| {
             let out = conv3x3(x.branch(), 1, &params[i], &params[i + 1]).unwrap();
-            layout.unpack(&out.values(), 20, 40)
+            layout.unpack(out.values(), 20, 40)
         };
         let mean =
             |values: Vec<f64>| -> Vec<f64> { values.chunks(800).map(|v| v.iter().sum::<f64>() / 800.0).collect() };
@@ -248,7 +248,7 @@ mod tests {
             }
             let expected: Vec<f64> = expected.iter().map(|v| (v * params[7].values()[0]).max(0.0)).collect();
             let out = graph_convolution(x.branch(), &graph(&params, diagonal)).unwrap();
-            compare(&layout.unpack(&out.values(), 20, 40), &expected, 1e-13, "graph convolution");
+            compare(&layout.unpack(out.values(), 20, 40), &expected, 1e-13, "graph convolution");
         }
     }
 

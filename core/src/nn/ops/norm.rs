@@ -62,7 +62,7 @@ mod tests {
         let x: Vec<f32> = numbers(layout.len(), 3).iter().map(|&v| 1e3 + v as f32).collect();
         let (one, zero) = (Param::constant(vec![1.0; 5].into()), Param::constant(vec![0.0; 5].into()));
         let out = layer_norm(Planes::constant(x, layout).unwrap(), &one, &zero).unwrap();
-        let planar = out.layout.unpack(&out.values(), 11, 37);
+        let planar = out.layout.unpack(out.values(), 11, 37);
         for p in 0..11 * 37 {
             let pixel: Vec<f32> = (0..5).map(|c| planar[c * 11 * 37 + p]).collect();
             let (mean, square) = (pixel.iter().sum::<f32>() / 5.0, pixel.iter().map(|v| v * v).sum::<f32>() / 5.0);

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::error::{Error, Result};
 use crate::nn::layout::Layout;
 use crate::nn::scalar::Scalar;
-use crate::nn::tape::{Planes, record};
+use crate::nn::tape::{Planes, Slot, record};
 
 /// Pixel shuffle by two: (4C, H, W) -> (C, 2H, 2W), channel 4c + 2i + j to row offset i, column offset j; plus `skip`, if there is one.
 ///
@@ -30,19 +30,21 @@ pub(crate) fn pixel_shuffle<E: Scalar, T: Tape<E, Cpu>>(
     };
     add_shuffled(&mut out, to, x.values(), from);
 
+    let pool = x.pool().clone();
     let (x, tape) = x.split();
+    let x = x.slot();
     let (skip, tape) = match skip.map(Planes::split) {
-        Some((skip, other)) => (Some(skip), tape.merge(other)),
+        Some((skip, other)) => (Some(skip.slot()), tape.merge(other)),
         None => (None, tape),
     };
-    let wanted = T::OWNS_TAPE && (x.is_wanted() || skip.as_ref().is_some_and(Planes::is_wanted));
+    let wanted = T::OWNS_TAPE && (x.is_wanted() || skip.as_ref().is_some_and(Slot::is_wanted));
     record(out, to, tape, wanted, move |dy, grads| {
-        x.add_gradient(grads, || {
-            let mut dx = x.pool().take(from.len());
+        x.add(grads, || {
+            let mut dx = pool.take(from.len());
             unshuffle(&mut dx, from, &dy, to);
             dx
         })?;
-        skip.map_or(Ok(()), |skip| skip.add_gradient(grads, || dy))
+        skip.map_or(Ok(()), |skip| skip.add(grads, || dy))
     })
 }
 
@@ -55,11 +57,13 @@ pub(crate) fn pixel_unshuffle<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>) -> Re
     let to = Layout { channels: 4 * from.channels, height: from.height / 2, width: from.width / 2 };
     let mut out = x.pool().take(to.len());
     unshuffle(&mut out, to, x.values(), from);
+    let pool = x.pool().clone();
     let (x, tape) = x.split();
+    let x = x.slot();
     let wanted = T::OWNS_TAPE && x.is_wanted();
     record(out, to, tape, wanted, move |dy, grads| {
-        x.add_gradient(grads, || {
-            let mut dx = x.pool().zeros(from.len());
+        x.add(grads, || {
+            let mut dx = pool.zeros(from.len());
             add_shuffled(&mut dx, from, &dy, to);
             dx
         })
@@ -109,7 +113,7 @@ mod tests {
         let layout = Layout { channels: 4, height: 1, width: 2 };
         let x = Planes::constant(vec![0.0f32, 1.0, 10.0, 11.0, 20.0, 21.0, 30.0, 31.0], layout).unwrap();
         let out = pixel_shuffle(x, None).unwrap();
-        assert_eq!(out.layout.unpack(&out.values(), 2, 4), [0.0, 10.0, 1.0, 11.0, 20.0, 30.0, 21.0, 31.0]);
+        assert_eq!(out.layout.unpack(out.values(), 2, 4), [0.0, 10.0, 1.0, 11.0, 20.0, 30.0, 21.0, 31.0]);
     }
 
     #[test]
@@ -117,7 +121,7 @@ mod tests {
         let layout = Layout { channels: 3, height: 22, width: 600 };
         let x = Planes::constant(numbers(layout.len(), 1), layout).unwrap();
         let back = pixel_shuffle(pixel_unshuffle(x.branch()).unwrap(), None).unwrap();
-        compare(&back.values(), &x.values(), 0.0, "shuffle of unshuffle");
+        compare(back.values(), x.values(), 0.0, "shuffle of unshuffle");
     }
 
     #[test]

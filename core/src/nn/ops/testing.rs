@@ -37,16 +37,17 @@ pub(crate) fn check(layout: Layout, params: &[usize], operation: impl Fn(Traced,
     };
     let tracked: Vec<_> = params.iter().map(|p| Param::tracked(p.clone())).collect();
     let all = planes(&x);
-    let mut pullback = operation(all.traced(), &tracked).unwrap().pull_back(seed.clone()).unwrap();
-    let dx = pullback.of(&all).unwrap();
+    let mut pullback = operation(all.traced(), &tracked).unwrap().cut().1.pull_back(seed.clone()).unwrap();
+    let dx = pullback.of(&all.slot()).unwrap();
     let dparams: Vec<_> = tracked.iter().map(|p| pullback.of_param(p).unwrap()).collect();
 
     let input_only = planes(&x);
-    let mut pullback = operation(input_only.traced(), &constant(&params)).unwrap().pull_back(seed.clone()).unwrap();
-    compare(&pullback.of(&input_only).unwrap(), &dx, 1e-12, "input alone");
+    let mut pullback =
+        operation(input_only.traced(), &constant(&params)).unwrap().cut().1.pull_back(seed.clone()).unwrap();
+    compare(&pullback.of(&input_only.slot()).unwrap(), &dx, 1e-12, "input alone");
     if !params.is_empty() {
         let out = operation(planes(&x).traced_constant(), &tracked).unwrap();
-        let mut pullback = out.pull_back(seed.clone()).unwrap();
+        let mut pullback = out.cut().1.pull_back(seed.clone()).unwrap();
         for (param, expected) in tracked.iter().zip(&dparams) {
             compare(&pullback.of_param(param).unwrap(), expected, 1e-12, "parameters alone");
         }
