@@ -206,7 +206,8 @@ unsafe fn dense_block<S: Lanes, const O: usize, const V: usize>(
 }
 
 dispatch! {
-    /// `sums[(a, b)] += left[a] * right[b]` for every pair of rows, summed over pixels lane by lane: `sums` holds one vector per pair.
+    /// `sums[(a, b)] += left[a] * right[b]` for every pair of rows, and behind these `sums[a] += left[a]` for every row of `left`,
+    /// summed over pixels lane by lane: one vector per pair and per row.
     outer => outer_lanes(sums: &mut [f32], left: Rows<'_>, right: Rows<'_>, vectors: usize)
 }
 
@@ -217,7 +218,7 @@ unsafe fn outer_lanes<S: Lanes>(sums: &mut [f32], left: Rows<'_>, right: Rows<'_
     let (rows, columns) = (left.offsets.len(), right.offsets.len());
     left.check(vectors);
     right.check(vectors);
-    assert!(rows * columns * LANES <= sums.len(), "a sum per pair is needed");
+    assert!(rows * (columns + 1) * LANES <= sums.len(), "a sum per pair and per row is needed");
     let mut row = 0;
     while row < rows {
         let height = BLOCK.min(rows - row);
@@ -226,20 +227,21 @@ unsafe fn outer_lanes<S: Lanes>(sums: &mut [f32], left: Rows<'_>, right: Rows<'_
             let width = BLOCK.min(columns - column);
             let a = &left.offsets[row..row + height];
             let b = &right.offsets[column..column + width];
-            // SAFETY: the offsets were checked above, and the block's sums lie before `rows * columns` vectors.
+            // SAFETY: the offsets were checked above; the block's sums lie before `rows * columns` vectors, its totals before `rows` more.
             unsafe {
                 let (x, y) = (left.values.as_ptr(), right.values.as_ptr());
                 let to = sums.as_mut_ptr().add((row * columns + column) * LANES);
+                let totals = (column == 0).then(|| sums.as_mut_ptr().add((rows * columns + row) * LANES));
                 match (height, width) {
-                    (3, 3) => outer_block::<S, 3, 3>(to, columns, x, a, y, b, vectors),
-                    (3, 2) => outer_block::<S, 3, 2>(to, columns, x, a, y, b, vectors),
-                    (3, _) => outer_block::<S, 3, 1>(to, columns, x, a, y, b, vectors),
-                    (2, 3) => outer_block::<S, 2, 3>(to, columns, x, a, y, b, vectors),
-                    (2, 2) => outer_block::<S, 2, 2>(to, columns, x, a, y, b, vectors),
-                    (2, _) => outer_block::<S, 2, 1>(to, columns, x, a, y, b, vectors),
-                    (_, 3) => outer_block::<S, 1, 3>(to, columns, x, a, y, b, vectors),
-                    (_, 2) => outer_block::<S, 1, 2>(to, columns, x, a, y, b, vectors),
-                    (_, _) => outer_block::<S, 1, 1>(to, columns, x, a, y, b, vectors),
+                    (3, 3) => outer_block::<S, 3, 3>(to, columns, totals, x, a, y, b, vectors),
+                    (3, 2) => outer_block::<S, 3, 2>(to, columns, totals, x, a, y, b, vectors),
+                    (3, _) => outer_block::<S, 3, 1>(to, columns, totals, x, a, y, b, vectors),
+                    (2, 3) => outer_block::<S, 2, 3>(to, columns, totals, x, a, y, b, vectors),
+                    (2, 2) => outer_block::<S, 2, 2>(to, columns, totals, x, a, y, b, vectors),
+                    (2, _) => outer_block::<S, 2, 1>(to, columns, totals, x, a, y, b, vectors),
+                    (_, 3) => outer_block::<S, 1, 3>(to, columns, totals, x, a, y, b, vectors),
+                    (_, 2) => outer_block::<S, 1, 2>(to, columns, totals, x, a, y, b, vectors),
+                    (_, _) => outer_block::<S, 1, 1>(to, columns, totals, x, a, y, b, vectors),
                 }
             }
             column += width;
@@ -248,13 +250,46 @@ unsafe fn outer_lanes<S: Lanes>(sums: &mut [f32], left: Rows<'_>, right: Rows<'_
     }
 }
 
-/// `A` by `B` pairs of [`outer`].
+/// `A` by `B` pairs of [`outer`], and the totals of the `A` rows if asked for.
+///
+/// # Safety
+/// As [`outer_loop`].
+#[inline(always)]
+#[allow(clippy::too_many_arguments)]
+unsafe fn outer_block<S: Lanes, const A: usize, const B: usize>(
+    sums: *mut f32,
+    columns: usize,
+    totals: Option<*mut f32>,
+    left: *const f32,
+    left_offsets: &[usize],
+    right: *const f32,
+    right_offsets: &[usize],
+    vectors: usize,
+) {
+    // SAFETY: the contract is the same.
+    unsafe {
+        match totals {
+            Some(totals) => {
+                let row = outer_loop::<S, A, B, true>(sums, columns, left, left_offsets, right, right_offsets, vectors);
+                for a in 0..A {
+                    let to = totals.add(a * LANES);
+                    S::load(to).add(row[a]).store(to);
+                }
+            }
+            None => {
+                outer_loop::<S, A, B, false>(sums, columns, left, left_offsets, right, right_offsets, vectors);
+            }
+        }
+    }
+}
+
+/// The sums of `A` by `B` pairs; returns the totals of the `A` rows if `TOTALS`.
 ///
 /// # Safety
 /// The CPU has the instructions of `S`; `left` has `A` offsets, `right` `B`, each with `vectors` vectors behind it;
 /// `sums` points to `A` rows of `columns` vectors, of which `B` are used.
 #[inline(always)]
-unsafe fn outer_block<S: Lanes, const A: usize, const B: usize>(
+unsafe fn outer_loop<S: Lanes, const A: usize, const B: usize, const TOTALS: bool>(
     sums: *mut f32,
     columns: usize,
     left: *const f32,
@@ -262,10 +297,11 @@ unsafe fn outer_block<S: Lanes, const A: usize, const B: usize>(
     right: *const f32,
     right_offsets: &[usize],
     vectors: usize,
-) {
+) -> [S; A] {
     // SAFETY: by the contract of this function every pointer below is in bounds.
     unsafe {
-        let mut total = [[S::splat(0.0); B]; A];
+        let mut pairs = [[S::splat(0.0); B]; A];
+        let mut totals = [S::splat(0.0); A];
         let left: [*const f32; A] = std::array::from_fn(|a| left.add(left_offsets[a]));
         let right: [*const f32; B] = std::array::from_fn(|b| right.add(right_offsets[b]));
         for vector in 0..vectors {
@@ -276,16 +312,20 @@ unsafe fn outer_block<S: Lanes, const A: usize, const B: usize>(
             for a in 0..A {
                 let x = S::load(left[a].add(vector * LANES));
                 for b in 0..B {
-                    total[a][b] = x.mul_add(y[b], total[a][b]);
+                    pairs[a][b] = x.mul_add(y[b], pairs[a][b]);
+                }
+                if TOTALS {
+                    totals[a] = totals[a].add(x);
                 }
             }
         }
         for a in 0..A {
             for b in 0..B {
                 let to = sums.add((a * columns + b) * LANES);
-                S::load(to).add(total[a][b]).store(to);
+                S::load(to).add(pairs[a][b]).store(to);
             }
         }
+        totals
     }
 }
 
@@ -412,7 +452,7 @@ unsafe fn depthwise_rows<S: Lanes, const R: usize, const N: usize>(
 }
 
 dispatch! {
-    /// The gradient of [`depthwise`] with respect to its weights, summed over pixels lane by lane into nine vectors per channel.
+    /// The gradient of [`depthwise`] with respect to its weights, summed over pixels lane by lane into ten vectors per channel.
     /// `gradient` holds the rows of the gradient of the result, one or two.
     depthwise_weights => depthwise_weights_lanes(
         sums: &mut [f32], gradient: Window<'_>, source: Window<'_>, channels: usize, vectors: usize,
@@ -432,7 +472,7 @@ unsafe fn depthwise_weights_lanes<S: Lanes>(
     source.check(channels, vectors);
     gradient.check(channels, vectors);
     assert!(source.rows.len() == gradient.rows.len() + 2, "a 3x3 convolution needs a row above and below");
-    assert!(channels * 9 * LANES <= sums.len(), "nine sums per channel are needed");
+    assert!(channels * 10 * LANES <= sums.len(), "ten sums per channel are needed");
     // SAFETY: the checks above cover every row of every channel.
     unsafe {
         match gradient.rows.len() {
@@ -446,7 +486,7 @@ unsafe fn depthwise_weights_lanes<S: Lanes>(
 /// `R` rows of [`depthwise_weights`] from `N = R + 2`.
 ///
 /// # Safety
-/// The CPU has the instructions of `S`; both windows were checked and have `R` and `N` rows; `sums` holds nine vectors per channel.
+/// The CPU has the instructions of `S`; both windows were checked and have `R` and `N` rows; `sums` holds ten vectors per channel.
 #[inline(always)]
 unsafe fn depthwise_weights_rows<S: Lanes, const R: usize, const N: usize>(
     sums: *mut f32,
@@ -462,11 +502,12 @@ unsafe fn depthwise_weights_rows<S: Lanes, const R: usize, const N: usize>(
                 std::array::from_fn(|r| gradient.values.as_ptr().add(gradient.rows[r] + channel * gradient.stride));
             let from: [*const f32; N] =
                 std::array::from_fn(|n| source.values.as_ptr().add(source.rows[n] + channel * source.stride - 1));
-            let mut total = [S::splat(0.0); 9];
+            let mut total = [S::splat(0.0); 10];
             for vector in 0..vectors {
                 let mut slope = [S::splat(0.0); R];
                 for r in 0..R {
                     slope[r] = S::load(above[r].add(vector * LANES));
+                    total[9] = total[9].add(slope[r]);
                 }
                 for n in 0..N {
                     for x in 0..3 {
@@ -481,7 +522,7 @@ unsafe fn depthwise_weights_rows<S: Lanes, const R: usize, const N: usize>(
                 }
             }
             for (tap, total) in total.into_iter().enumerate() {
-                let to = sums.add((channel * 9 + tap) * LANES);
+                let to = sums.add((channel * 10 + tap) * LANES);
                 S::load(to).add(total).store(to);
             }
         }

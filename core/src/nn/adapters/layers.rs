@@ -32,42 +32,31 @@ enum Tensor {
     EndBias,
 }
 
-/// Gradients the kernels sum over pixels, each the index of an array of [`Sums`].
+/// Gradients the kernels sum over pixels, each the index of an array of [`Sums`]: of the entries of a folded layer, then of its bias.
 #[derive(Clone, Copy)]
 pub(super) enum Sum {
-    /// (outputs, tap, channel): the last convolution.
+    /// The last convolution: (output, tap, channel), then (output, tap), of which the middle tap counts.
     End,
-    /// (outputs).
-    EndBias,
-    /// (channel, channel): gamma times conv5.
+    /// gamma times conv5: (channel, channel), then (channel).
     Out,
-    /// (channel).
-    OutBias,
-    /// (2 channels, channel): conv4 times the weight of norm2.
+    /// conv4 times the weight of norm2: (2 channels, channel), then (2 channels).
     Conv4,
-    /// (2 channels).
-    Conv4Bias,
-    /// (channel, channel): beta times conv3 times the attention.
+    /// beta times conv3 times the attention: (channel, channel), then (channel).
     Mix,
-    /// (channel).
-    MixBias,
-    /// (2 channels, tap): conv2.
+    /// conv2: (2 channels, tap), the tenth tap being the bias.
     Conv2,
-    /// (2 channels).
-    Conv2Bias,
-    /// (2 channels, channel): conv1 times the weight of norm1.
+    /// conv1 times the weight of norm1: (2 channels, channel), then (2 channels).
     Conv1,
-    /// (2 channels).
-    Conv1Bias,
 }
 
 /// Lengths of the arrays of [`Sums`].
-pub(super) fn sum_lengths(m: usize, k: usize) -> [usize; 12] {
-    [9 * k * m, k, m * m, m, 2 * m * m, 2 * m, m * m, m, 18 * m, 2 * m, 2 * m * m, 2 * m]
+pub(super) fn sum_lengths(m: usize, k: usize) -> [usize; 6] {
+    let dense = |outputs: usize| outputs * (m + 1);
+    [dense(9 * k), dense(m), dense(2 * m), dense(m), 20 * m, dense(2 * m)]
 }
 
 /// Sums over pixels, one array per [`Sum`].
-pub(super) type Sums = [Vec<f64>; 12];
+pub(super) type Sums = [Vec<f64>; 6];
 
 /// The layers of one adapter.
 pub(super) struct Layers {
@@ -208,20 +197,21 @@ impl Layers {
         let value = |tensor: Tensor| -> Vec<f64> { self.tensor(tensor).iter().map(|&x| f64::from(x)).collect() };
         let sum = |sum: Sum| &sums[sum as usize][..];
 
-        for (norm, shift, conv, bias, d, d_bias) in [
-            (Norm1Weight, Norm1Bias, Conv1Weight, Conv1Bias, sum(Sum::Conv1), sum(Sum::Conv1Bias)),
-            (Norm2Weight, Norm2Bias, Conv4Weight, Conv4Bias, sum(Sum::Conv4), sum(Sum::Conv4Bias)),
+        for (norm, shift, conv, bias, of) in [
+            (Norm1Weight, Norm1Bias, Conv1Weight, Conv1Bias, Sum::Conv1),
+            (Norm2Weight, Norm2Bias, Conv4Weight, Conv4Bias, Sum::Conv4),
         ] {
+            let (d, d_bias) = sum(of).split_at(2 * m * m);
             let (scale, offset, weight) = (value(norm), value(shift), value(conv));
             write(norm, &|i| (0..2 * m).map(|o| d[o * m + i] * weight[o * m + i]).sum());
             write(shift, &|i| (0..2 * m).map(|o| d_bias[o] * weight[o * m + i]).sum());
             write(conv, &|e| d[e] * scale[e % m] + d_bias[e / m] * offset[e % m]);
             write(bias, &|o| d_bias[o]);
         }
-        write(Conv2Weight, &|e| sum(Sum::Conv2)[e]);
-        write(Conv2Bias, &|c| sum(Sum::Conv2Bias)[c]);
+        write(Conv2Weight, &|e| sum(Sum::Conv2)[e / 9 * 10 + e % 9]);
+        write(Conv2Bias, &|c| sum(Sum::Conv2)[c * 10 + 9]);
 
-        let (d, d_bias) = (sum(Sum::Mix), sum(Sum::MixBias));
+        let (d, d_bias) = sum(Sum::Mix).split_at(m * m);
         let (weight, bias, beta) = (value(Conv3Weight), value(Conv3Bias), value(Beta));
         let attention = |i: usize| f64::from(self.attention[i]);
         write(Conv3Weight, &|e| d[e] * beta[e / m] * attention(e % m));
@@ -233,7 +223,7 @@ impl Layers {
         write(ScaWeight, &|e| d_attention[e / m] * f64::from(self.mean[e % m]));
         write(ScaBias, &|o| d_attention[o]);
 
-        let (d, d_bias) = (sum(Sum::Out), sum(Sum::OutBias));
+        let (d, d_bias) = sum(Sum::Out).split_at(m * m);
         let (weight, bias, gamma) = (value(Conv5Weight), value(Conv5Bias), value(Gamma));
         write(Conv5Weight, &|e| d[e] * gamma[e / m]);
         write(Conv5Bias, &|o| d_bias[o] * gamma[o]);
@@ -241,6 +231,6 @@ impl Layers {
 
         // (output, channel, tap) from (output, tap, channel).
         write(EndWeight, &|e| sum(Sum::End)[(e / (9 * m) * 9 + e % 9) * m + e / 9 % m]);
-        write(EndBias, &|o| sum(Sum::EndBias)[o]);
+        write(EndBias, &|o| sum(Sum::End)[9 * k * m + 9 * o + 4]);
     }
 }

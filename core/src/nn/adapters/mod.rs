@@ -182,7 +182,7 @@ struct Scratch {
     raw: Buffer,
     tile: Tile,
     places: Vec<usize>,
-    sums: [Buffer; 12],
+    sums: [Buffer; 6],
 }
 
 impl Scratch {
@@ -627,12 +627,6 @@ impl Adapters {
                     outer(Sum::End, d_planes, tile_rows(&tile.out));
                     outer(Sum::Out, d_out, tile_rows(&tile.gate));
                     outer(Sum::Conv4, d_conv4, tile_rows(&tile.normal));
-                    // The pixel itself is the fifth of a plane's nine neighbours.
-                    let centres: Vec<usize> = places.iter().skip(4).step_by(9).copied().collect();
-                    let mut sum = |sum: Sum, rows| kernels::sum(isa, &mut sums[sum as usize], rows, vectors);
-                    sum(Sum::EndBias, Rows { offsets: &centres, ..d_planes });
-                    sum(Sum::OutBias, d_out);
-                    sum(Sum::Conv4Bias, d_conv4);
                 }
                 // From here on `d_out` is the gradient of `middle`.
                 kernels::normalize_backward(
@@ -656,9 +650,6 @@ impl Adapters {
                     Rows { values: gate, offsets: wide },
                     vectors,
                 );
-                if wants.params {
-                    kernels::sum(isa, &mut sums[Sum::MixBias as usize], d_middle, vectors);
-                }
                 kernels::dense(isa, &layers.mix_transposed, d_middle, None, &mut gradient[x..], stride, vectors);
                 if let Some(features) = &mut features {
                     for channel in 0..m {
@@ -772,11 +763,6 @@ impl Adapters {
         let gradient = Window { values: &d_conv2.values, rows: &rows[..count], stride: shape.padded() };
         let source = Window { values: &conv1.values, rows: &sources[..count + 2], stride: shape.padded() };
         kernels::depthwise_weights(isa, &mut sums[Sum::Conv2 as usize], gradient, source, channels, shape.vectors());
-        for &row in &rows[..count] {
-            let places: Vec<usize> = (0..channels).map(|channel| row + channel * shape.padded()).collect();
-            let rows = Rows { values: &d_conv2.values, offsets: &places };
-            kernels::sum(isa, &mut sums[Sum::Conv2Bias as usize], rows, shape.vectors());
-        }
     }
 
     /// The gradient of conv1's result in one or two rows, added to the gradients of conv1 and taken on to the feature.
@@ -806,7 +792,6 @@ impl Adapters {
             if wants.params {
                 let normal = Rows { values: normal, offsets: &places[..m] };
                 kernels::outer(isa, &mut sums[Sum::Conv1 as usize], gradient, normal, shape.vectors());
-                kernels::sum(isa, &mut sums[Sum::Conv1Bias as usize], gradient, shape.vectors());
             }
             if let Some(features) = &mut features {
                 kernels::dense(isa, &layers.conv1_transposed, gradient, None, d_normal, stride, shape.vectors());
