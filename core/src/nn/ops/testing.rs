@@ -33,7 +33,7 @@ pub(crate) fn check(layout: Layout, params: &[usize], operation: impl Fn(Traced,
     assert!(!out.records(), "nobody asked for a gradient");
     let seed = numbers(out.layout.len(), 5);
     let loss = |x: &[f64], params: &[Vec<f64>]| {
-        dot(&operation(planes(x).traced_constant(), &constant(params)).unwrap().values(), &seed)
+        dot(operation(planes(x).traced_constant(), &constant(params)).unwrap().values(), &seed)
     };
     let tracked: Vec<_> = params.iter().map(|p| Param::tracked(p.clone())).collect();
     let all = planes(&x);
