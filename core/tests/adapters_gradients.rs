@@ -1,5 +1,4 @@
 //! Values and gradients of the adapters against a plain f64 version of the same formulas and its central differences.
-#![allow(clippy::unwrap_used)]
 
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
