@@ -12,7 +12,7 @@ mod font;
 pub mod material;
 pub mod preview;
 pub(crate) mod resize;
-mod save;
+pub(crate) mod save;
 
 use std::path::Path;
 

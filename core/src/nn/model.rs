@@ -1,13 +1,13 @@
 //! Weights files and the networks they hold.
 
-use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::{BufReader, Cursor, Read, Seek};
+use std::io::{BufReader, BufWriter, Cursor, Read, Seek, Write};
 use std::path::Path;
 use std::sync::Arc;
 
-use safetensors::{Dtype, SafeTensorError, View};
+use safetensors::Dtype;
+use safetensors::tensor::{Metadata, TensorInfo};
 
 use super::config::NetworkConfig;
 use super::layout::Layout;
@@ -17,6 +17,7 @@ use super::tape::{Param, Planes, Pool};
 use super::weights::{Reader, broken};
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
+use crate::io::save::temporary_beside;
 use crate::maps::Lobe;
 
 /// What a weights file must say about itself: key, value.
@@ -95,18 +96,37 @@ impl Model {
     /// [`Error::Io`] if the file cannot be written.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let path = path.as_ref();
-        let mut tensors = Vec::new();
+        let (mut infos, mut all, mut end) = (Vec::new(), Vec::new(), 0);
         for network in &self.networks {
             let prefix = prefix(&network.config);
             network.for_each_tensor(|name, shape, values| {
-                tensors.push((format!("{prefix}{name}"), Stored { shape, values }));
+                let start = end;
+                end += size_of_val(values);
+                infos.push((
+                    format!("{prefix}{name}"),
+                    TensorInfo { dtype: Dtype::F32, shape, data_offsets: (start, end) },
+                ));
+                all.push(values);
             });
         }
-        let metadata = self.metadata().map_err(|error| Error::io(path, error))?;
-        safetensors::serialize_to_file(tensors, Some(metadata), path).map_err(|error| match error {
-            SafeTensorError::IoError(error) => Error::io(path, error),
-            other => Error::io(path, std::io::Error::other(other.to_string())),
-        })
+        let unfit = |error: &dyn std::fmt::Display| Error::io(path, std::io::Error::other(error.to_string()));
+        let metadata = self.metadata().map_err(|error| unfit(&error))?;
+        let header = Metadata::new(Some(metadata), infos).map_err(|error| unfit(&error))?;
+        let mut header = serde_json::to_vec(&header).map_err(|error| unfit(&error))?;
+        header.resize(header.len().next_multiple_of(8), b' ');
+
+        let file = temporary_beside(path)?;
+        let mut out = BufWriter::new(file);
+        let mut write = || -> std::io::Result<()> {
+            out.write_all(&(header.len() as u64).to_le_bytes())?;
+            out.write_all(&header)?;
+            all.iter().copied().flatten().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
+            out.flush()
+        };
+        write().map_err(|error| Error::io(path, error))?;
+        let file = out.into_inner().map_err(|error| Error::io(path, error.into_error()))?;
+        file.persist(path).map_err(|error| Error::io(path, error.error))?;
+        Ok(())
     }
 
     /// The network for the most photos that `photos` photos suffice for.
@@ -194,30 +214,6 @@ impl Model {
             metadata.insert("channels".into(), channel_order(first.lobe).into());
         }
         Ok(metadata)
-    }
-}
-
-/// A tensor on its way into a file.
-struct Stored<'a> {
-    shape: Vec<usize>,
-    values: &'a [f32],
-}
-
-impl View for Stored<'_> {
-    fn dtype(&self) -> Dtype {
-        Dtype::F32
-    }
-
-    fn shape(&self) -> &[usize] {
-        &self.shape
-    }
-
-    fn data(&self) -> Cow<'_, [u8]> {
-        self.values.iter().flat_map(|value| value.to_le_bytes()).collect()
-    }
-
-    fn data_len(&self) -> usize {
-        size_of_val(self.values)
     }
 }
 
