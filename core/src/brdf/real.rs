@@ -59,6 +59,10 @@ pub trait Lanes: Arithmetic + Div<Output = Self> {
     /// As [`Lanes::load`], from single precision.
     fn load_f32(values: &[f32]) -> Self;
 
+    /// Tells the processor that the first of `values` will be read soon; changes nothing but time.
+    #[inline(always)]
+    fn prefetch(_values: &[Self::Scalar]) {}
+
     /// Writes the first elements to `values`, as many as it holds.
     fn store(self, values: &mut [Self::Scalar]);
 

@@ -276,7 +276,7 @@ impl<R: Real> Kernel<R> for Flat<'_, R> {
     fn run<L: Lanes<Scalar = R>>(self) {
         let [xs, ys, zs] = self.values;
         for at in (0..xs.len()).step_by(L::LANES) {
-            let [x, y] = self.raw.map(|raw| L::load(&raw[at..]));
+            let (x, y) = (L::load(&self.raw[0][at..]), L::load(&self.raw[1][at..]));
             let square = x.mul_add(x, y * y);
             let limit = L::splat(FLAT_LIMIT);
             let scale = L::select(square.gt(limit), (limit / square).sqrt(), L::splat(1.0));
@@ -300,8 +300,8 @@ impl<R: Real> Kernel<R> for FlatBackward<'_, R> {
     fn run<L: Lanes<Scalar = R>>(self) {
         let [xs, ys] = self.values;
         for at in (0..xs.len()).step_by(L::LANES) {
-            let [x, y] = self.raw.map(|raw| L::load(&raw[at..]));
-            let [dx, dy, dz] = self.slopes.map(|slopes| L::load(&slopes[at..]));
+            let (x, y) = (L::load(&self.raw[0][at..]), L::load(&self.raw[1][at..]));
+            let [dx, dy, dz] = load_vector(&self.slopes, at);
             let square = x.mul_add(x, y * y);
             let limit = L::splat(FLAT_LIMIT);
             let steep = square.gt(limit);
@@ -329,7 +329,7 @@ impl<R: Real> Kernel<R> for Normalize<'_, R> {
     fn run<L: Lanes<Scalar = R>>(self) {
         let mut values = self.values;
         for at in (0..self.raw[0].len()).step_by(L::LANES) {
-            let vector = self.raw.map(|raw| L::load(&raw[at..]));
+            let vector: [L; 3] = load_vector(&self.raw, at);
             let (unit, long) = (inverse_length(vector), is_long(vector));
             for (component, (vector, values)) in vector.into_iter().zip(&mut values).enumerate() {
                 let default = L::splat(if component == self.axis { 1.0 } else { 0.0 });
@@ -352,16 +352,22 @@ impl<R: Real> Kernel<R> for NormalizeBackward<'_, R> {
     fn run<L: Lanes<Scalar = R>>(self) {
         let mut values = self.values;
         for at in (0..self.raw[0].len()).step_by(L::LANES) {
-            let vector = self.raw.map(|raw| L::load(&raw[at..]));
-            let slopes = self.slopes.map(|slopes| L::load(&slopes[at..]));
+            let vector: [L; 3] = load_vector(&self.raw, at);
+            let slopes: [L; 3] = load_vector(&self.slopes, at);
             let (inverse, long) = (inverse_length(vector), is_long(vector));
-            let unit = vector.map(|component| component * inverse);
+            let unit = [vector[0] * inverse, vector[1] * inverse, vector[2] * inverse];
             let along = dot(slopes, unit);
             for ((slope, unit), values) in slopes.into_iter().zip(unit).zip(&mut values) {
                 L::select(long, (slope - along * unit) * inverse, L::splat(0.0)).store(&mut values[at..]);
             }
         }
     }
+}
+
+// Without a closure: it would be compiled for any processor, and its loads would become calls.
+#[inline(always)]
+fn load_vector<L: Lanes>(planes: &[&[L::Scalar]; 3], at: usize) -> [L; 3] {
+    [L::load(&planes[0][at..]), L::load(&planes[1][at..]), L::load(&planes[2][at..])]
 }
 
 #[inline(always)]

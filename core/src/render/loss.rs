@@ -210,7 +210,7 @@ impl<T: Real, const GRADIENT: bool> LossRows<'_, T, GRADIENT> {
         for row in self.rows.clone() {
             for column in (0..grid.width).step_by(TILE) {
                 let len = TILE.min(grid.width - column);
-                tile.read(&planes, row * grid.width + column, len);
+                tile.read::<L>(&planes, row * grid.width + column, len);
                 for at in (0..len).step_by(L::LANES) {
                     let surface = tile.load_surface::<L, ANISOTROPIC>(at);
                     let frame = Frame::<L, ANISOTROPIC>::new(&surface);

@@ -184,7 +184,9 @@ fn offset<L: Lanes>(target: [f64; 3], x: L::Wide, y: L::Wide) -> [L::Wide; 3] {
 }
 
 /// Pixels of a tile.
-const TILE: usize = 64;
+const TILE: usize = 128;
+/// Values of a line of the cache, in single precision.
+const LINE: usize = 16;
 
 /// A piece of a row of all planes, side by side.
 ///
@@ -199,10 +201,13 @@ impl<T: Real> Tile<T> {
         Self([[T::default(); TILE]; Lobe::Anisotropic.planes()])
     }
 
-    /// Reads `len` pixels from `start` on.
+    /// Reads `len` pixels from `start` on, and has those after them fetched meanwhile.
     #[inline(always)]
-    fn read(&mut self, planes: &[&[T]], start: usize, len: usize) {
+    fn read<L: Lanes<Scalar = T>>(&mut self, planes: &[&[T]], start: usize, len: usize) {
         for (tile, plane) in self.0.iter_mut().zip(planes) {
+            for line in plane[start + len..].chunks(LINE).take(TILE / LINE) {
+                L::prefetch(line);
+            }
             match plane[start..][..len].first_chunk::<TILE>() {
                 Some(whole) => *tile = *whole,
                 None => {
@@ -303,7 +308,7 @@ impl<T: Real> RenderRows<'_, T> {
         for row in self.rows.clone() {
             for column in (0..self.grid.width).step_by(TILE) {
                 let len = TILE.min(self.grid.width - column);
-                tile.read(&planes, row * self.grid.width + column, len);
+                tile.read::<L>(&planes, row * self.grid.width + column, len);
                 for at in (0..len).step_by(L::LANES) {
                     let surface = tile.load_surface::<L, ANISOTROPIC>(at);
                     let frame = Frame::<L, ANISOTROPIC>::new(&surface);

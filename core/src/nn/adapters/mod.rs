@@ -10,7 +10,8 @@
 //!    What the attention adds to it is a constant per channel, known only after the whole image.
 //! 4. backward from the gate to the feature, with conv1 and conv2 computed again.
 //!
-//! The image is cut into chunks of rows of fixed size, so sums do not depend on how many threads there are.
+//! The image is cut into chunks of rows of fixed size, so sums do not depend on how many threads there are. All adapters pass over a
+//! chunk while its part of the feature is in the cache, and every other pass goes backwards, from what the one before it left there.
 
 #[allow(unsafe_code)]
 mod buffer;
@@ -21,6 +22,7 @@ mod lanes;
 mod layers;
 
 use std::array;
+use std::cmp::Reverse;
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
@@ -337,6 +339,7 @@ impl Adapters {
                 tasks.push((adapter, chunk, rows));
             }
         }
+        tasks.sort_by_key(|task| Reverse(task.1));
         tasks.into_par_iter().with_max_len(1).for_each(|(adapter, chunk, planes)| {
             self.pool.with(|scratch| self.finish_chunk(adapter, chunk, planes, scratch));
         });
@@ -403,7 +406,8 @@ impl Adapters {
         let Shape { channels, width, height, .. } = self.shape;
         let row = self.shape.row();
         let mut gates = std::mem::take(&mut self.gates);
-        let tasks: Vec<_> = tasks(&mut gates, height * row, CHUNK * row).collect();
+        let mut tasks: Vec<_> = tasks(&mut gates, height * row, CHUNK * row).collect();
+        tasks.sort_by_key(|task| task.1);
         let sums: Vec<(usize, Vec<f64>)> = (tasks.into_par_iter().with_max_len(1))
             .map(|(adapter, chunk, rows)| {
                 (adapter, self.pool.with(|scratch| self.gate_chunk(adapter, chunk, rows, scratch)))
@@ -540,9 +544,10 @@ impl Adapters {
         let mut feature_rows = features
             .chunks_mut(if wants.feature { kept } else { usize::MAX })
             .flat_map(|adapter| adapter.chunks_mut(CHUNK * row));
-        let tasks: Vec<_> = (tasks(&mut gradients, kept, CHUNK * row))
+        let mut tasks: Vec<_> = (tasks(&mut gradients, kept, CHUNK * row))
             .map(|task| (task, if wants.feature { feature_rows.next() } else { None }))
             .collect();
+        tasks.sort_by_key(|task| task.0.1);
         let sums = (tasks.into_par_iter().with_max_len(1))
             .map(|((adapter, chunk, rows), feature)| {
                 let work = |scratch: &mut Scratch| {
@@ -669,9 +674,10 @@ impl Adapters {
         let mut feature_rows = features
             .chunks_mut(if wants.feature { height * row } else { usize::MAX })
             .flat_map(|adapter| adapter.chunks_mut(CHUNK * row));
-        let tasks: Vec<_> = (0..self.outputs.len() * chunks)
+        let mut tasks: Vec<_> = (0..self.outputs.len() * chunks)
             .map(|task| (task / chunks, task % chunks, if wants.feature { feature_rows.next() } else { None }))
             .collect();
+        tasks.sort_by_key(|task| Reverse(task.1));
         let sums = (tasks.into_par_iter().with_max_len(1))
             .map(|(adapter, chunk, feature)| {
                 let work = |scratch: &mut Scratch| {
