@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the user chooses, kept in the scene as `scene.svbrdf_gcn`. Fit options have the names of the command line and of Python."""
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+
+class SVBRDF_GCN_PG_photo(bpy.types.PropertyGroup):
+    """A photo among Blender's images, and where it was taken from."""
+
+    image: PointerProperty(name="Image", type=bpy.types.Image)
+    camera_position: FloatVectorProperty(
+        name="Camera", description="Where the lens was: x right, y up, z out of the surface, from its centre", default=(0, 0, 1)
+    )
+    light_position: FloatVectorProperty(name="Light", description="Where the light was, as for the camera", default=(0, 0, 1))
+
+
+class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
+    """Photos, options and the state of the running fit."""
+
+    source: EnumProperty(
+        name="Photos",
+        description="Where the photos are",
+        items=[
+            ("FOLDER", "Folder", "A capture folder: photos with their positions"),
+            ("IMAGES", "Images", "Images of this file, with positions entered here"),
+        ],
+    )
+    folder: StringProperty(
+        name="Capture", description="Capture folder, or its JSON file", subtype="FILE_PATH"
+    )
+    photos: CollectionProperty(type=SVBRDF_GCN_PG_photo)
+    active_photo: IntProperty()
+    collocated: BoolProperty(name="Light at Camera", description="The flash sits beside the lens", default=True)
+    patch_size: FloatProperty(
+        name="Patch Width", description="Width of the photographed patch, in the unit of the positions", default=1.0, min=1e-6
+    )
+    light_intensity: FloatVectorProperty(
+        name="Light Intensity",
+        description="Radiant intensity of the light: photo value of a white diffuse patch facing it, times squared distance, times pi",
+        default=(1, 1, 1),
+        min=0,
+    )
+    name: StringProperty(name="Name", description="Name of the material; empty: that of the capture")
+    views: StringProperty(name="Views", description="Photos to take, counted from 0: 0,2,5; empty: all")
+    size: IntProperty(
+        name="Size", description="Longer side of the maps in pixels; larger photos are resampled, 0 keeps their size", default=0, min=0
+    )
+    transfer: EnumProperty(
+        name="Transfer",
+        description="Transfer function of the photos",
+        items=[
+            ("AUTO", "As Stated", "What the capture or the image says"),
+            ("gamma2.2", "Gamma 2.2", ""),
+            ("srgb", "sRGB", ""),
+            ("linear", "Linear", ""),
+        ],
+    )
+    color_space: EnumProperty(
+        name="Color Space",
+        description="Primaries of linear photos",
+        items=[("rec709", "Rec.709", ""), ("acescg", "ACEScg", "")],
+    )
+    preset: EnumProperty(
+        name="Preset",
+        description="How much time to spend",
+        items=[("draft", "Draft", "A first look"), ("balanced", "Balanced", ""), ("high", "High", "Until nothing is gained any more")],
+        default="balanced",
+    )
+    method: EnumProperty(
+        name="Method",
+        description="How to get from photos to maps",
+        items=[
+            ("auto", "Auto", "Network where weights are given, else direct"),
+            ("network", "Network", "Encode, optimise the latent code, then the adapters"),
+            ("direct", "Direct", "Without a network"),
+        ],
+    )
+    weights: StringProperty(name="Weights", description="Trained weights (safetensors)", subtype="FILE_PATH")
+    latent_steps: IntProperty(name="Latent Steps", description="Steps on the latent code; -1: the preset's", default=-1, min=-1)
+    adapter_steps: IntProperty(name="Adapter Steps", description="Steps on the adapters; -1: the preset's", default=-1, min=-1)
+    direct_steps: IntProperty(name="Direct Steps", description="Steps on the maps; -1: the preset's", default=-1, min=-1)
+    early_stop: BoolProperty(name="Early Stop", description="Stop a stage when its loss has flattened", default=True)
+    max_memory: FloatProperty(
+        name="Memory (GB)", description="Most memory a fit may use; 0: three quarters of what is free", default=0, min=0
+    )
+    seed: IntProperty(name="Seed", description="The same seed and number of threads give the same maps", default=0, min=0)
+    threads: IntProperty(name="Threads", description="0: all", default=0, min=0)
+
+    # The running fit, for the panels.
+    running: BoolProperty(options={"SKIP_SAVE", "HIDDEN"})
+    progress: FloatProperty(options={"SKIP_SAVE", "HIDDEN"}, subtype="FACTOR", min=0, max=1)
+    status: StringProperty(options={"SKIP_SAVE", "HIDDEN"})
+    lost: StringProperty(options={"SKIP_SAVE", "HIDDEN"})
+
+
+CLASSES = (SVBRDF_GCN_PG_photo, SVBRDF_GCN_PG_settings)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.svbrdf_gcn = PointerProperty(type=SVBRDF_GCN_PG_settings)
+
+
+def unregister():
+    del bpy.types.Scene.svbrdf_gcn
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

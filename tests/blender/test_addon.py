@@ -1,0 +1,318 @@
+"""The extension in the real Blender: installed, used through its operators, its pictures compared."""
+
+import math
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+
+from conftest import MODULE, ROOT
+
+
+def run(**keywords):
+    return bpy.ops.svbrdf_gcn.fit_material("EXEC_DEFAULT", **keywords)
+
+
+def fitted(scene):
+    """The active object's node group."""
+    from bl_ext.user_default.svbrdf_gcn import material
+
+    return material.fitted_group(bpy.context.view_layer.objects.active.active_material)
+
+
+def maps_of(tree):
+    from bl_ext.user_default.svbrdf_gcn import material
+
+    return material.read_back(tree)
+
+
+def expected(**changes):
+    """The same fit through Python."""
+    import svbrdf_gcn
+
+    capture = svbrdf_gcn.Capture.open(ROOT / "samples" / "tiles", size=48, views=[0, 1, 2, 3])
+    return svbrdf_gcn.fit_material(capture, **{"preset": "draft", "threads": 2, **changes})
+
+
+def test_blenders_own_tool_accepts_the_package(addon_zip):
+    tool = Path(bpy.__file__).parent / bpy.app.version_string.rpartition(".")[0] / "scripts/addons_core/bl_pkg/cli/blender_ext.py"
+    checked = subprocess.run([sys.executable, tool, "validate", addon_zip], capture_output=True, text=True)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_the_operator_gives_what_python_gives(scene):
+    assert run() == {"FINISHED"}
+    tree = fitted(scene)
+    got, want = maps_of(tree), expected()
+    for name in ("diffuse_albedo", "specular_albedo", "roughness"):
+        np.testing.assert_array_equal(getattr(got, name), getattr(want, name), err_msg=name)
+    # Stored as (n + 1) / 2 and made unit again: a rounding or two.
+    np.testing.assert_allclose(got.normal, want.normal, atol=4e-7)
+    assert got.patch_size == want.patch_size
+    assert bpy.context.view_layer.objects.active.active_material.name == "tiles"
+    images = {node.name: node.image for node in tree.nodes if node.type == "TEX_IMAGE"}
+    assert set(images) == {"diffuse_albedo", "specular_albedo", "roughness", "normal"}
+    assert all(image.packed_file and image.is_float for image in images.values())
+    assert images["normal"].colorspace_settings.name == images["roughness"].colorspace_settings.name == "Non-Color"
+    assert images["diffuse_albedo"].colorspace_settings.name == "Linear Rec.709"
+    principled = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+    linked = {socket.name for socket in principled.inputs if socket.is_linked}
+    assert linked == {"Base Color", "Specular IOR Level", "Specular Tint", "Roughness", "Normal"}
+    settings = scene.svbrdf_gcn
+    assert not settings.running and settings.status and "Principled" in settings.lost
+
+
+def test_it_survives_saving_and_loading(scene, tmp_path):
+    assert run() == {"FINISHED"}
+    before = maps_of(fitted(scene))
+    path = str(tmp_path / "file.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    after = maps_of(fitted(bpy.context.scene))
+    np.testing.assert_array_equal(before.diffuse_albedo, after.diffuse_albedo)
+    np.testing.assert_array_equal(before.roughness, after.roughness)
+
+
+def test_images_of_the_file_give_what_the_folder_gives(scene):
+    import svbrdf_gcn
+
+    capture = svbrdf_gcn.Capture.open(ROOT / "samples" / "tiles", views=[0, 1, 2, 3])
+    settings = scene.svbrdf_gcn
+    settings.source, settings.views, settings.collocated = "IMAGES", "", False
+    settings.patch_size = capture.patch_size
+    settings.light_intensity = capture.light_intensity[0]
+    for view in range(4):
+        photo = settings.photos.add()
+        photo.image = bpy.data.images.load(str(ROOT / "samples" / "tiles" / f"{view:02}.png"))
+        photo.camera_position, photo.light_position = capture.camera_positions[view], capture.light_positions[view]
+    assert run() == {"FINISHED"}
+    got, want = maps_of(fitted(scene)), expected()
+    # Blender keeps positions in single precision; a fit of 100 steps carries that along.
+    np.testing.assert_allclose(got.diffuse_albedo, want.diffuse_albedo, atol=2e-3)
+    np.testing.assert_allclose(got.roughness, want.roughness, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"folder": ""}, "folder: expected"),
+        ({"folder": "/nowhere/at/all"}, "/nowhere/at/all"),
+        ({"views": "0,x"}, "views: expected"),
+        ({"views": "77"}, "77"),
+        ({"weights": "/nowhere.safetensors"}, "/nowhere.safetensors"),
+        ({"method": "network"}, "weights"),
+        ({"source": "IMAGES"}, "photos: expected"),
+    ],
+)
+def test_what_is_wrong_is_said(scene, change, message):
+    for name, value in change.items():
+        setattr(scene.svbrdf_gcn, name, value)
+    before = len(bpy.data.materials), len(bpy.data.images), len(bpy.data.node_groups)
+    with pytest.raises(RuntimeError, match=message):
+        run()
+    assert (len(bpy.data.materials), len(bpy.data.images), len(bpy.data.node_groups)) == before
+    assert not scene.svbrdf_gcn.running
+    # And the next one runs.
+    for name in change:
+        scene.svbrdf_gcn.property_unset(name)
+    scene.svbrdf_gcn.folder = str(ROOT / "samples" / "tiles")
+    scene.svbrdf_gcn.views = "0"
+    assert run() == {"FINISHED"}
+
+
+class Modal:
+    """The modal operator's methods with a made-up self: Blender sends no timer events without a window."""
+
+    def __init__(self, operators, context):
+        self.cls = operators.SVBRDF_GCN_OT_fit_material
+        self.session = operators.Session(context)
+        self.timer = None
+        self.reports = []
+        self.context = SimpleNamespace(
+            view_layer=context.view_layer,
+            scene=context.scene,
+            window_manager=SimpleNamespace(event_timer_remove=lambda timer: self.reports.append(("TIMER", "removed")), windows=()),
+        )
+
+    def report(self, kind, text):
+        self.reports.append((min(kind), text))
+
+    def take_in(self, context, session):
+        return self.cls.take_in(self, context, session)
+
+    def finish(self, context):
+        return self.cls.finish(self, context)
+
+    def send(self, kind):
+        return self.cls.modal(self, self.context, SimpleNamespace(type=kind))
+
+    def until_done(self, seconds=60):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            state = self.send("TIMER")
+            if state != {"PASS_THROUGH"}:
+                return state
+            time.sleep(0.01)
+        raise AssertionError("the job did not end")
+
+
+@pytest.fixture
+def operators(addon):
+    from bl_ext.user_default.svbrdf_gcn import operators
+
+    return operators
+
+
+def test_the_modal_loop_shows_progress_and_ends(scene, operators):
+    modal = Modal(operators, bpy.context)
+    assert scene.svbrdf_gcn.running and not bpy.ops.svbrdf_gcn.fit_material.poll()
+    assert modal.send("MOUSEMOVE") == {"PASS_THROUGH"}
+    seen = set()
+    while (state := modal.send("TIMER")) == {"PASS_THROUGH"}:
+        seen.add(scene.svbrdf_gcn.status)
+        time.sleep(0.002)
+    assert state == {"FINISHED"}
+    assert any(status.startswith("direct ") and "loss" in status for status in seen), seen
+    assert modal.reports[0] == ("TIMER", "removed") and modal.reports[-1] == ("INFO", "Fitted tiles")
+    np.testing.assert_array_equal(maps_of(fitted(scene)).roughness, expected().roughness)
+
+
+def test_escape_stops_it_and_another_fit_follows(scene, operators):
+    scene.svbrdf_gcn.direct_steps = 1_000_000
+    modal = Modal(operators, bpy.context)
+    while not scene.svbrdf_gcn.status.startswith("direct"):
+        assert modal.send("TIMER") == {"PASS_THROUGH"}
+        time.sleep(0.01)
+    assert modal.send("ESC") == {"PASS_THROUGH"}
+    begun = time.monotonic()
+    assert modal.until_done() == {"CANCELLED"}
+    assert time.monotonic() - begun < 5
+    assert modal.reports[-1] == ("INFO", "Fit cancelled") and not scene.svbrdf_gcn.running
+    assert len(bpy.data.materials) == 0
+    scene.svbrdf_gcn.direct_steps = 5
+    assert Modal(operators, bpy.context).until_done() == {"FINISHED"}
+
+
+def test_two_fits_at_once_are_refused(scene, operators):
+    modal = Modal(operators, bpy.context)
+    with pytest.raises(RuntimeError, match="running already"):
+        operators.Session(bpy.context)
+    modal.send("ESC")
+    modal.until_done()
+
+
+@pytest.mark.parametrize("target", ["maps", "materialx", "gltf", "principled", "unreal"])
+def test_export(scene, tmp_path, target):
+    assert run() == {"FINISHED"}
+    assert bpy.ops.svbrdf_gcn.export_material("EXEC_DEFAULT", directory=str(tmp_path), to=target) == {"FINISHED"}
+    assert len(list(tmp_path.iterdir())) > 3
+
+
+def test_export_needs_a_fitted_material(scene):
+    assert not bpy.ops.svbrdf_gcn.export_material.poll()
+
+
+def test_disabled_and_enabled_again(scene):
+    assert bpy.ops.preferences.addon_disable(module=MODULE) == {"FINISHED"}
+    assert not hasattr(bpy.types.Scene, "svbrdf_gcn")
+    assert bpy.ops.preferences.addon_enable(module=MODULE) == {"FINISHED"}
+    assert hasattr(bpy.types.Scene, "svbrdf_gcn")
+
+
+# Cycles against our renderer.
+
+CAMERA, LIGHT, INTENSITY = (1.5, -2.0, 15.0), (-1.0, 2.5, 14.0), (640.0, 620.0, 590.0)
+
+
+def cycles(surface, size, patch_size):
+    """Linear radiance that Cycles sees on the patch from CAMERA, shape (size, size, 3), row 0 at the top: baked, so pixels are the map's."""
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.max_bounces = 16, 0
+    scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
+    scene.cycles.light_sampling_threshold = 0.0
+    patch = bpy.context.view_layer.objects.active
+    patch.scale = (patch_size / 2, patch_size / 2, 1)
+    patch.active_material = surface
+    patch.select_set(True)
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    light = bpy.data.objects.new("light", bpy.data.lights.new("light", "POINT"))
+    for thing, place in ((camera, CAMERA), (light, LIGHT)):
+        scene.collection.objects.link(thing)
+        thing.location = place
+    scene.camera = camera
+    peak = max(INTENSITY)
+    light.data.energy = 4 * math.pi * peak
+    light.data.color = [channel / peak for channel in INTENSITY]
+    light.data.shadow_soft_size = 0.0
+    light.data.use_soft_falloff = False
+    target = bpy.data.images.new("bake", size, size, float_buffer=True, alpha=False)
+    target.colorspace_settings.name = "Non-Color"
+    node = surface.node_tree.nodes.new("ShaderNodeTexImage")
+    node.image = target
+    surface.node_tree.nodes.active = node
+    scene.render.bake.view_from = "ACTIVE_CAMERA"
+    scene.render.bake.margin = 0
+    assert bpy.ops.object.bake(type="COMBINED") == {"FINISHED"}
+    pixels = np.empty(size * size * 4, np.float32)
+    target.pixels.foreach_get(pixels)
+    return pixels.reshape(size, size, 4)[::-1, :, :3]
+
+
+def compare(scene, material):
+    """Relative difference of Cycles and our renderer, per pixel: (Cycles - ours) / ours, mean over channels."""
+    from bl_ext.user_default.svbrdf_gcn import material as nodes
+
+    size = material.width
+    got = cycles(nodes.build(material, "test"), size, material.patch_size)
+    want = material.render(camera=CAMERA, light=LIGHT, light_intensity=INTENSITY)
+    return (got / want - 1).mean(-1)
+
+
+def uniform(size=32, tilt=(0.0, 0.0), diffuse=(0.5, 0.3, 0.2), specular=(0.0, 0.0, 0.0), roughness=0.5, **more):
+    import svbrdf_gcn
+
+    def plane(values):
+        return np.broadcast_to(np.float32(values), (size, size, len(values)))
+
+    normal = np.array([*tilt, 1.0])
+    return svbrdf_gcn.Material(
+        diffuse_albedo=plane(diffuse),
+        specular_albedo=plane(specular),
+        roughness=np.full((size, size), roughness, np.float32),
+        normal=plane(normal / np.linalg.norm(normal)),
+        patch_size=10.0,
+        **more,
+    )
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)])
+def test_a_lambertian_material_looks_the_same_in_cycles(scene, tilt):
+    """A tilt to +x and to +y, because a flipped axis would go unseen on a flat patch."""
+    assert np.abs(compare(scene, uniform(tilt=tilt))).max() < 0.02
+
+
+def test_a_metal_looks_the_same_in_cycles(scene):
+    """No diffuse part: what is left is the lobe. Our masking is Schlick's approximation, Cycles' is exact Smith: 2 % at most here."""
+    metal = uniform(diffuse=(0, 0, 0), specular=(0.9, 0.6, 0.3), roughness=0.45)
+    assert np.abs(compare(scene, metal)).max() < 0.04
+
+
+def test_a_glossy_dielectric_in_cycles(scene):
+    """The Principled BSDF dims the diffuse part by what the specular layer reflects; Base Color makes up for it at normal incidence."""
+    glossy = uniform(specular=(0.04, 0.04, 0.04), roughness=0.4)
+    assert np.abs(compare(scene, glossy)).max() < 0.04
+
+
+def test_the_fitted_sample_in_cycles(scene):
+    """The fitted tiles: a pattern, so that a flipped or shifted texture would show."""
+    assert run() == {"FINISHED"}
+    material = maps_of(fitted(scene))
+    difference = compare(scene, material)
+    assert np.median(np.abs(difference)) < 0.04
+    assert np.mean(np.abs(difference) < 0.15) > 0.95
