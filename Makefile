@@ -4,13 +4,15 @@ CARGO ?= cargo
 PYTHON ?= python3
 VENV := .venv
 BIN := target/release/svbrdf-gcn
+# The Cargo profile of the wheel: dev compiles faster, and shares what the tests compiled.
+PROFILE ?= release
 
 # Where the measuring data lies beside the repository, no test may skip for want of it.
 ifneq ($(wildcard ../shared/REFERENCE.md),)
 export SVBRDF_GCN_REQUIRE_SHARED := 1
 endif
 
-.PHONY: help build demo test setup lint unit docs-test python-test bench fuzz sample clean
+.PHONY: help build demo test setup lint unit docs-test python-build python-test wheel bench fuzz sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -23,7 +25,7 @@ demo: build ## fit the sample capture and show where the pictures are
 	@$(BIN) evaluate out/demo samples/tiles --views 7,8 --truth samples/tiles/truth
 	@echo "Look at out/demo/preview.png"
 
-test: setup lint unit docs-test python-test ## set up what the tests need, and run them all, cheapest first
+test: setup lint unit docs-test python-build python-test ## set up what the tests need, and run them all, cheapest first
 
 setup: ## Python packages in .venv
 	@tools/setup.sh
@@ -40,7 +42,16 @@ unit: ## Rust tests
 docs-test: ## the examples in the documentation
 	$(CARGO) test --workspace --doc --locked
 
-python-test: ## Python tools
+python-build: ## the Python package, installed in .venv
+	rm -rf target/wheels
+	$(VENV)/bin/maturin build --manifest-path python/Cargo.toml --locked --profile dev --out target/wheels
+	$(VENV)/bin/pip install --quiet --force-reinstall --no-deps target/wheels/*.whl
+
+wheel: setup ## the Python package as a wheel in dist (PROFILE=dev for a quick one)
+	rm -f dist/*.whl
+	$(VENV)/bin/maturin build --manifest-path python/Cargo.toml --locked --profile $(PROFILE) --strip --out dist
+
+python-test: ## Python package and tools
 	$(VENV)/bin/python -m pytest -q tests/python
 
 bench: ## benchmarks; figures are in docs/performance.md
@@ -58,4 +69,4 @@ sample: ## path-trace the sample captures again (needs Python 3.11 for Blender's
 	.venv/blender/bin/python python/tools/make_sample.py samples
 
 clean: ## remove what was built
-	rm -rf target out $(VENV)
+	rm -rf target out dist $(VENV)

@@ -6,7 +6,7 @@
 
 mod layout;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
@@ -16,7 +16,7 @@ use crate::image::Image;
 use crate::io::resize::{fit_size, shrink};
 use crate::io::{Pixels, RowReader, Samples, read_stored};
 
-use layout::Layout;
+use layout::{Entry, Layout};
 
 /// Where camera and light stood for one photo, and how bright the light was.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -173,7 +173,40 @@ impl Capture {
     /// not read, [`Error::ShapeMismatch`] where counts or photo sizes differ, [`Error::InvalidArgument`] for values out of range:
     /// positions that are not in front of the sample, sizes and intensities that are not positive, views that do not exist.
     pub fn open_with(path: impl AsRef<Path>, options: &CaptureOptions) -> Result<Self> {
-        let Layout { entries, patch_size, transfer, unit, white_level } = Layout::read(path.as_ref())?;
+        Self::read(Layout::read(path.as_ref())?, options)
+    }
+
+    /// A capture from image files and where camera and light stood for each; the rest as in [`Capture::from_photos`].
+    ///
+    /// # Errors
+    /// As [`Capture::open_with`].
+    ///
+    /// # Example
+    /// ```no_run
+    /// use svbrdf_gcn::{Capture, CaptureOptions, Shot, Transfer};
+    ///
+    /// let shot = |x| Shot { camera: [x, 0.0, 20.0], light: [x, 0.0, 20.0], light_intensity: [1500.0; 3] };
+    /// let files = [("left.jpg".into(), shot(-3.0)), ("right.jpg".into(), shot(3.0))];
+    /// let capture = Capture::from_files(&files, 9.7, Transfer::Srgb, None, &CaptureOptions::new())?;
+    /// # Ok::<(), svbrdf_gcn::Error>(())
+    /// ```
+    pub fn from_files(
+        files: &[(PathBuf, Shot)],
+        patch_size: f64,
+        transfer: Transfer,
+        white_level: Option<f32>,
+        options: &CaptureOptions,
+    ) -> Result<Self> {
+        let entry = |(path, shot): &(PathBuf, Shot)| {
+            let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+            Entry { name, path: path.clone(), shot: *shot }
+        };
+        let entries = files.iter().map(entry).collect();
+        Self::read(Layout { entries, patch_size, transfer, unit: None, white_level }, options)
+    }
+
+    fn read(layout: Layout, options: &CaptureOptions) -> Result<Self> {
+        let Layout { entries, patch_size, transfer, unit, white_level } = layout;
         let transfer = options.transfer.unwrap_or(transfer);
         check_patch_size(patch_size)?;
         check_white_level(white_level)?;

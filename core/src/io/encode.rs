@@ -59,7 +59,8 @@ fn codes8(image: &Image, transfer: Transfer) -> (Vec<u8>, ExtendedColorType) {
     (image.data().iter().map(code).collect(), color)
 }
 
-fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
+/// A PNG of 8 bits, the values encoded with `transfer`.
+pub(super) fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
     let (codes, color) = codes8(image, transfer);
     png(path, image, &codes, color)
 }

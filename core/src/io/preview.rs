@@ -2,13 +2,16 @@
 
 use std::path::Path;
 
+use super::encode::png8;
 use super::resize::{fit_size, shrink};
 use super::{font, write_image};
+use crate::capture::Shot;
 use crate::color::Transfer;
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::material::Material;
 use crate::metrics::photo_rmse;
+use crate::render::render;
 
 /// The longer side of a panel in pixels.
 const PANEL: usize = 256;
@@ -93,6 +96,28 @@ pub fn preview_png(
 ) -> Result<()> {
     // The picture holds screen values already.
     write_image(path, &preview(material, comparisons, new_view)?, Transfer::Linear)
+}
+
+/// The bytes of a PNG file with the maps of a material side by side and a view of it under a light at the upper left, for hosts that show
+/// pictures themselves.
+///
+/// # Errors
+/// As [`preview`].
+pub fn material_png(material: &Material) -> Result<Vec<u8>> {
+    let above = [0.0, 0.0, 2.0 * material.patch_size];
+    let light_intensity = [std::f64::consts::PI * above[2] * above[2]; 3];
+    let view = new_view(&Shot { camera: above, light: above, light_intensity });
+    let picture = preview(material, &[], &render(material, &view)?)?;
+    png8(Path::new("preview"), &picture, Transfer::Linear)
+}
+
+/// The camera straight above the centre, as far as that of `shot`; the light 40 degrees off at the upper left, as bright at the centre.
+pub(crate) fn new_view(shot: &Shot) -> Shot {
+    let distance = |p: [f64; 3]| p.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let (far, light_far) = (distance(shot.camera), distance(shot.light));
+    let (sin, cos) = 40f64.to_radians().sin_cos();
+    let side = light_far * sin / 2f64.sqrt();
+    Shot { camera: [0.0, 0.0, far], light: [-side, side, light_far * cos], light_intensity: shot.light_intensity }
 }
 
 /// An image in screen values with a line of text above.

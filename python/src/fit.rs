@@ -1,0 +1,338 @@
+//! `fit_material`, its progress, and how it is stopped.
+
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use pyo3::prelude::*;
+use svbrdf_gcn::nn::Model;
+use svbrdf_gcn::{Capture, FitOptions, Method, Preset, fit_material};
+
+use crate::capture::{Reading, Setup, capture};
+use crate::errors::{argument, detached};
+use crate::material::PyMaterial;
+use crate::options::{choice, count, maybe_count};
+
+/// Python is asked for signals, and the callback called, no more often than this.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// Stops a fit from any thread.
+///
+/// A token that was cancelled stays so; take a new one for the next fit.
+///
+/// Examples
+/// --------
+/// >>> token = svbrdf_gcn.CancelToken()
+/// >>> token.cancel()
+/// >>> try:
+/// ...     svbrdf_gcn.fit_material("samples/tiles", size=32, cancel=token)
+/// ... except svbrdf_gcn.Cancelled:
+/// ...     print("stopped")
+/// stopped
+#[pyclass(frozen, name = "CancelToken", module = "svbrdf_gcn")]
+pub struct PyCancelToken(svbrdf_gcn::CancelToken);
+
+#[pymethods]
+impl PyCancelToken {
+    #[new]
+    fn new() -> Self {
+        Self(svbrdf_gcn::CancelToken::new())
+    }
+
+    /// Ask every fit that was given this token to stop; they raise ``Cancelled``.
+    ///
+    /// Examples
+    /// --------
+    /// >>> token = svbrdf_gcn.CancelToken()
+    /// >>> token.cancel()
+    /// >>> token.cancelled
+    /// True
+    fn cancel(&self) {
+        self.0.cancel();
+    }
+
+    /// Whether ``cancel`` was called.
+    #[getter]
+    fn cancelled(&self) -> bool {
+        self.0.is_cancelled()
+    }
+
+    fn __repr__(&self) -> String {
+        let state = if self.0.is_cancelled() { "cancelled" } else { "not cancelled" };
+        format!("<svbrdf_gcn.CancelToken: {state}>")
+    }
+}
+
+/// Where a fit stands; what the ``progress`` callback is given.
+///
+/// Examples
+/// --------
+/// >>> seen = []
+/// >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, direct_steps=5, progress=seen.append)
+/// >>> seen[-1].stage, seen[-1].step, seen[-1].steps
+/// ('direct', 5, 5)
+#[pyclass(frozen, get_all, name = "Progress", module = "svbrdf_gcn")]
+pub struct PyProgress {
+    /// The part of the fit that runs: ``encode``, ``latent``, ``adapters`` or ``direct``.
+    stage: &'static str,
+    /// Steps of the stage that are done.
+    step: usize,
+    /// Steps that the stage takes at most.
+    steps: usize,
+    /// The loss before the last step, where the stage has one.
+    loss: Option<f64>,
+}
+
+#[pymethods]
+impl PyProgress {
+    fn __repr__(&self) -> String {
+        let loss = self.loss.map_or(String::new(), |loss| format!(", loss {loss:.4}"));
+        format!("<svbrdf_gcn.Progress: {} {}/{}{loss}>", self.stage, self.step, self.steps)
+    }
+}
+
+/// Trained weights.
+///
+/// Immutable: load them once and give them to as many fits as you like, from any thread.
+///
+/// Examples
+/// --------
+/// >>> svbrdf_gcn.Model.load("no-such-file.safetensors")
+/// Traceback (most recent call last):
+/// FileNotFoundError: [Errno 2] No such file or directory: 'no-such-file.safetensors'
+#[pyclass(frozen, name = "Model", module = "svbrdf_gcn")]
+pub struct PyModel(Arc<Model>);
+
+#[pymethods]
+impl PyModel {
+    /// Read a weights file.
+    ///
+    /// Parameters
+    /// ----------
+    /// path : str or os.PathLike
+    ///     A safetensors file; ``docs/weights.md`` tells where weights come from.
+    ///
+    /// Returns
+    /// -------
+    /// Model
+    ///
+    /// Raises
+    /// ------
+    /// OSError
+    ///     If the file cannot be read.
+    /// WeightsError
+    ///     If it is damaged, of another version or of another model.
+    ///
+    /// Examples
+    /// --------
+    /// >>> try:
+    /// ...     svbrdf_gcn.Model.load("README.md")
+    /// ... except svbrdf_gcn.WeightsError as error:
+    /// ...     print("not a weights file")
+    /// not a weights file
+    #[staticmethod]
+    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        detached(py, || Model::load(path)).map(|model| Self(Arc::new(model)))
+    }
+
+    /// The numbers of photos that there is a network for; a fit takes the one for the most photos it has.
+    #[getter]
+    fn photos(&self) -> Vec<usize> {
+        self.0.networks().iter().map(|network| network.config().photos).collect()
+    }
+
+    /// The licence of the weights.
+    #[getter]
+    fn license(&self) -> &str {
+        self.0.license()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<svbrdf_gcn.Model: networks for {:?} photos, {}>", self.photos(), self.0.license())
+    }
+}
+
+/// Recover the material that photos show.
+///
+/// Other Python threads run meanwhile. Ctrl-C stops the fit with ``KeyboardInterrupt``.
+///
+/// Parameters
+/// ----------
+/// capture_or_photos : Capture, path of a capture, array of shape (N, H, W, 3), or list of arrays or image paths
+///     A ``Capture``, or a path that ``Capture.open`` takes, brings its own positions; photos as arrays or image paths need
+///     `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
+/// camera_positions, light_positions, patch_size, light_intensity, white_level : optional
+///     See ``Capture``.
+/// transfer, size, views : optional
+///     See ``Capture`` and ``Capture.open``.
+/// preset : {"draft", "balanced", "high"}
+///     How much time to spend.
+/// method : {"auto", "network", "direct"}
+///     How to get from photos to maps; auto: network where there are weights, else direct.
+/// weights : Model, str or os.PathLike, optional
+///     Trained weights.
+/// latent_steps, adapter_steps, direct_steps : int, optional
+///     Steps on the latent code, the adapters, the maps themselves, instead of the preset's.
+/// max_memory : int, optional
+///     Most bytes the run may use; three quarters of the free memory if not given.
+/// seed : int
+///     Seed of everything random. The same seed and thread count give the same bits on the same processor.
+/// threads : int, optional
+///     Threads; all if not given.
+/// early_stop : bool, optional
+///     Stop a stage when its loss has flattened; on if not given.
+/// progress : callable, optional
+///     Called on this thread with a ``Progress`` at most every 50 ms, and at the end of a stage. What it raises stops the
+///     fit and comes out unchanged; what it returns is not looked at.
+/// cancel : CancelToken, optional
+///     Stops the fit from any thread.
+///
+/// Returns
+/// -------
+/// Material
+///     The maps; its `report` tells how they came about.
+///
+/// Raises
+/// ------
+/// ArgumentError
+///     For options out of range, and arguments that are missing or given twice.
+/// ShapeError, FormatError, OSError
+///     For photos that cannot be read; see ``Capture``.
+/// WeightsError
+///     For weights that are broken, or need more photos.
+/// MemoryError
+///     If the run would need more than `max_memory`, before anything is computed.
+/// NonFiniteError
+///     If the loss is not finite from the start.
+/// Cancelled
+///     If `cancel` was cancelled.
+///
+/// Examples
+/// --------
+/// >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, preset="draft", seed=7)
+/// >>> material.roughness.shape, material.report["method"]
+/// ((32, 32, 1), 'direct')
+#[pyfunction]
+#[pyo3(name = "fit_material", signature = (
+    capture_or_photos: "Capture | str | os.PathLike[str] | numpy.typing.ArrayLike | typing.Sequence[numpy.typing.ArrayLike] | typing.Sequence[str | os.PathLike[str]]",
+    *, camera_positions: "numpy.typing.ArrayLike | None" = None, light_positions: "numpy.typing.ArrayLike | None" = None,
+    patch_size = None, light_intensity: "numpy.typing.ArrayLike | None" = None, transfer = None,
+    size = None, views = None, white_level = None,
+    preset = "balanced", method = "auto", weights: "Model | str | os.PathLike[str] | None" = None,
+    latent_steps = None, adapter_steps = None,
+    direct_steps = None, max_memory = None,
+    seed = 0, threads = None, early_stop = None,
+    progress: "typing.Callable[[Progress], object] | None" = None, cancel: "CancelToken | None" = None) -> "Material")]
+#[expect(clippy::too_many_arguments, reason = "keywords in Python")]
+pub fn py_fit_material<'py>(
+    py: Python<'py>,
+    capture_or_photos: &Bound<'py, PyAny>,
+    camera_positions: Option<Bound<'py, PyAny>>,
+    light_positions: Option<Bound<'py, PyAny>>,
+    patch_size: Option<f64>,
+    light_intensity: Option<Bound<'py, PyAny>>,
+    transfer: Option<String>,
+    size: Option<i128>,
+    views: Option<Vec<i128>>,
+    white_level: Option<f32>,
+    preset: &str,
+    method: &str,
+    weights: Option<Bound<'py, PyAny>>,
+    latent_steps: Option<i128>,
+    adapter_steps: Option<i128>,
+    direct_steps: Option<i128>,
+    max_memory: Option<i128>,
+    seed: i128,
+    threads: Option<i128>,
+    early_stop: Option<bool>,
+    progress: Option<Bound<'py, PyAny>>,
+    cancel: Option<&Bound<'py, PyCancelToken>>,
+) -> PyResult<PyMaterial> {
+    let mut options = FitOptions::preset(choice("preset", preset, &PRESETS, preset_name)?);
+    options.method = choice("method", method, &METHODS, method_name)?;
+    options.latent_steps = maybe_count("latent_steps", latent_steps)?;
+    options.adapter_steps = maybe_count("adapter_steps", adapter_steps)?;
+    options.direct_steps = maybe_count("direct_steps", direct_steps)?;
+    options.max_memory = maybe_count("max_memory", max_memory)?;
+    options.seed = count("seed", seed)?;
+    options.threads = maybe_count("threads", threads)?;
+    options.early_stop = early_stop;
+    if let Some(token) = cancel {
+        options.cancel = token.get().0.clone();
+    }
+    if let Some(progress) = progress.as_ref().filter(|progress| !progress.is_callable()) {
+        return Err(argument("progress", format_args!("expected something to call, got {}", progress.repr()?)));
+    }
+    let setup = Setup { camera_positions, light_positions, patch_size, light_intensity, white_level };
+    let capture = capture(capture_or_photos, &setup, &Reading { size, views, transfer })?;
+    let model = weights.map(|weights| model(&weights, &capture)).transpose()?;
+
+    let mut reports = Reports { callback: progress.map(Bound::unbind), next: Instant::now(), raised: None };
+    let fit =
+        detached(py, || fit_material(&capture, model.as_deref(), &options, &mut |progress| reports.pass(progress)));
+    match reports.raised {
+        Some(error) => Err(error),
+        None => PyMaterial::fitted(fit?, &capture),
+    }
+}
+
+const PRESETS: [Preset; 3] = [Preset::Draft, Preset::Balanced, Preset::High];
+
+fn preset_name(preset: Preset) -> &'static str {
+    match preset {
+        Preset::Draft => "draft",
+        Preset::High => "high",
+        _ => "balanced",
+    }
+}
+
+const METHODS: [Method; 3] = [Method::Auto, Method::Network, Method::Direct];
+
+fn method_name(method: Method) -> &'static str {
+    match method {
+        Method::Network => "network",
+        Method::Direct => "direct",
+        _ => "auto",
+    }
+}
+
+fn model(weights: &Bound<'_, PyAny>, capture: &Capture) -> PyResult<Arc<Model>> {
+    if let Ok(model) = weights.cast::<PyModel>() {
+        return Ok(model.get().0.clone());
+    }
+    let path: PathBuf = weights.extract()?;
+    detached(weights.py(), || Model::load_for(path, capture.len())).map(Arc::new)
+}
+
+/// Brings the reports of a fit to Python.
+struct Reports {
+    callback: Option<Py<PyAny>>,
+    next: Instant,
+    raised: Option<PyErr>,
+}
+
+impl Reports {
+    fn pass(&mut self, progress: &svbrdf_gcn::Progress) -> ControlFlow<()> {
+        let end = progress.step == progress.steps;
+        if Instant::now() < self.next && !end {
+            return ControlFlow::Continue(());
+        }
+        let result = Python::attach(|py| {
+            py.check_signals()?;
+            let Some(callback) = &self.callback else { return Ok(()) };
+            let (step, steps) = (progress.step, progress.steps);
+            let report = PyProgress { stage: progress.stage.name(), step, steps, loss: progress.loss };
+            callback.call1(py, (report,)).map(drop)
+        });
+        // From now on, so that a slow callback does not take all the time.
+        self.next = Instant::now() + PAUSE;
+        match result {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                self.raised = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    }
+}

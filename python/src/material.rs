@@ -1,0 +1,386 @@
+//! Materials.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+use serde_json::Value;
+use svbrdf_gcn::fit::Fit;
+use svbrdf_gcn::io::material::{
+    LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_report,
+};
+use svbrdf_gcn::io::preview::material_png;
+use svbrdf_gcn::metrics::MapErrors;
+use svbrdf_gcn::{Capture, Image, Material, Shot, metrics, render};
+
+use crate::arrays::{ImageArray, image, intensities, triple};
+use crate::errors::{argument, detached};
+use crate::options::{choice, maybe_count};
+
+/// The maps of a material.
+///
+/// ``fit_material`` and ``Material.load`` make materials; the constructor takes maps of your own, which are copied.
+///
+/// Parameters
+/// ----------
+/// diffuse_albedo : ndarray of float, shape (H, W, 3), linear, 0 to 1
+/// specular_albedo : ndarray of float, shape (H, W, 3), linear, 0 to 1
+///     Reflectance at normal incidence (F0).
+/// roughness : ndarray of float, shape (H, W, 1) or (H, W), 0 to 1
+///     Perceptual roughness; shape (H, W, 2) along tangent and bitangent of an anisotropic material.
+/// normal : ndarray of float, shape (H, W, 3), -1 to 1
+///     Unit vectors, +x right, +y up, +z out of the surface.
+/// tangent : ndarray of float, shape (H, W, 3), -1 to 1, optional
+///     Unit vectors; for anisotropic materials only.
+/// patch_size : float
+///     Width of the maps in the unit of the positions given to `render`.
+///
+/// Raises
+/// ------
+/// ShapeError
+///     If the maps differ in size.
+/// FormatError
+///     If they are not floats.
+/// ArgumentError
+///     If a value is not finite, or `patch_size` is not above 0.
+///
+/// Examples
+/// --------
+/// >>> import numpy as np
+/// >>> grey, flat = np.full((4, 6, 3), 0.5), np.zeros((4, 6, 3)) + [0, 0, 1]
+/// >>> svbrdf_gcn.Material(grey, 0.08 * grey, grey[:, :, :1], flat, patch_size=10)
+/// <svbrdf_gcn.Material: 6 x 4 pixels, isotropic, patch 10 wide>
+#[pyclass(frozen, name = "Material", module = "svbrdf_gcn")]
+pub struct PyMaterial {
+    material: Arc<Material>,
+    report: Option<Value>,
+    unit: Option<String>,
+}
+
+impl PyMaterial {
+    pub fn fitted(fit: Fit, capture: &Capture) -> PyResult<Self> {
+        let report = serde_json::to_value(&fit.report).map_err(|error| argument("report", error))?;
+        Ok(Self { material: Arc::new(fit.material), report: Some(report), unit: capture.unit().map(ToOwned::to_owned) })
+    }
+
+    fn view<'py>(&self, py: Python<'py>, map: fn(&Material) -> &Image) -> PyResult<ImageArray<'py>> {
+        ImageArray::view(py, &self.material, map)
+    }
+}
+
+#[pymethods]
+impl PyMaterial {
+    #[new]
+    #[pyo3(signature = (diffuse_albedo: "numpy.typing.ArrayLike", specular_albedo: "numpy.typing.ArrayLike",
+        roughness: "numpy.typing.ArrayLike", normal: "numpy.typing.ArrayLike",
+        tangent: "numpy.typing.ArrayLike | None" = None, *, patch_size))]
+    fn new(
+        py: Python<'_>,
+        diffuse_albedo: &Bound<'_, PyAny>,
+        specular_albedo: &Bound<'_, PyAny>,
+        roughness: &Bound<'_, PyAny>,
+        normal: &Bound<'_, PyAny>,
+        tangent: Option<&Bound<'_, PyAny>>,
+        patch_size: f64,
+    ) -> PyResult<Self> {
+        let material = Material {
+            diffuse_albedo: image("diffuse_albedo", diffuse_albedo)?,
+            specular_albedo: image("specular_albedo", specular_albedo)?,
+            roughness: image("roughness", roughness)?,
+            normal: image("normal", normal)?,
+            tangent: tangent.map(|tangent| image("tangent", tangent)).transpose()?,
+            patch_size,
+        };
+        // What cannot be computed with is refused here, what is out of range limited.
+        let material = detached(py, || Material::from_maps(&material.to_maps()?, patch_size))?;
+        Ok(Self { material: Arc::new(material), report: None, unit: None })
+    }
+
+    /// Read a material: a folder with a ``material.json``, or maps of another program.
+    ///
+    /// Parameters
+    /// ----------
+    /// path : str or os.PathLike
+    ///     Folder, or, with an `encoding` that has them, image of several maps side by side.
+    /// encoding : {"deschaintre2018", "deep-inverse-rendering", "materialgan", "svbrdf-diff-renderer"}, optional
+    ///     How maps without a ``material.json`` are stored; ``docs/materials.md`` describes these.
+    /// patch_size : float, optional
+    ///     Width of maps without a ``material.json``; 1 if not given.
+    ///
+    /// Returns
+    /// -------
+    /// Material
+    ///
+    /// Raises
+    /// ------
+    /// OSError
+    ///     For files that are missing or broken.
+    /// FormatError
+    ///     For maps whose encoding is not stated.
+    /// ArgumentError, ShapeError
+    ///     For values out of range, and maps that differ in size.
+    ///
+    /// Examples
+    /// --------
+    /// >>> svbrdf_gcn.Material.load("samples/tiles/truth")
+    /// <svbrdf_gcn.Material: 256 x 256 pixels, isotropic, patch 10 wide>
+    #[staticmethod]
+    #[pyo3(signature = (path, *, encoding = None, patch_size = None))]
+    fn load(py: Python<'_>, path: PathBuf, encoding: Option<&str>, patch_size: Option<f64>) -> PyResult<Self> {
+        let mut options = LoadOptions::default();
+        options.patch_size = patch_size;
+        options.encoding = encoding
+            .map(|name| choice("encoding", name, &MaterialEncoding::ALL, MaterialEncoding::name))
+            .transpose()?;
+        detached(py, || {
+            let material = Arc::new(Material::load_with(&path, &options)?);
+            let report = if path.join(MATERIAL_JSON).exists() { read_report(&path)? } else { None };
+            Ok(Self { material, report, unit: None })
+        })
+    }
+
+    /// Write the maps and ``material.json`` to a folder, which is made if it is not there.
+    ///
+    /// The files are those of the command line; ``docs/materials.md`` describes them. They appear whole or not at all.
+    ///
+    /// Parameters
+    /// ----------
+    /// folder : str or os.PathLike
+    /// format : {"exr", "png16", "tiff"}
+    ///     OpenEXR with half floats, PNG with 16 bits, or TIFF with single floats.
+    ///
+    /// Raises
+    /// ------
+    /// OSError
+    ///     If a file cannot be written.
+    ///
+    /// Examples
+    /// --------
+    /// >>> import tempfile
+    /// >>> material = svbrdf_gcn.Material.load("samples/tiles/truth")
+    /// >>> with tempfile.TemporaryDirectory() as folder:
+    /// ...     material.save(folder, format="tiff")
+    /// ...     svbrdf_gcn.Material.load(folder)
+    /// <svbrdf_gcn.Material: 256 x 256 pixels, isotropic, patch 10 wide>
+    #[pyo3(signature = (folder, *, format = "exr"))]
+    fn save(&self, py: Python<'_>, folder: PathBuf, format: &str) -> PyResult<()> {
+        let formats = [MaterialFormat::Exr, MaterialFormat::Png16, MaterialFormat::Tiff];
+        let mut options = SaveOptions::new(choice("format", format, &formats, format_name)?);
+        options.unit.clone_from(&self.unit);
+        options.report.clone_from(&self.report);
+        detached(py, || self.material.save(folder, &options))
+    }
+
+    /// Photo of the material under one camera and one light.
+    ///
+    /// The same forward model the fit uses.
+    ///
+    /// Parameters
+    /// ----------
+    /// camera : array_like of shape (3,)
+    ///     Position of the camera, in the unit of `patch_size`.
+    /// light : array_like of shape (3,)
+    ///     Position of the light.
+    /// light_intensity : float or array_like of shape (3,), optional
+    ///     A white matt patch at distance r has the radiance ``light_intensity / (pi * r**2)``. If not given, such a patch is
+    ///     white (1) at the centre.
+    /// size : int, optional
+    ///     Longer side in pixels; maps are resampled by area, never enlarged.
+    ///
+    /// Returns
+    /// -------
+    /// ndarray of float32, shape (H, W, 3), linear RGB
+    ///
+    /// Raises
+    /// ------
+    /// ArgumentError
+    ///     For values that are not finite, and a negative intensity.
+    /// ShapeError
+    ///     For positions of another shape.
+    ///
+    /// Examples
+    /// --------
+    /// >>> material = svbrdf_gcn.Material.load("samples/tiles/truth")
+    /// >>> photo = material.render([0, 0, 20], [-5, 5, 18], size=64)
+    /// >>> photo.shape, photo.dtype.name
+    /// ((64, 64, 3), 'float32')
+    #[pyo3(signature = (camera: "numpy.typing.ArrayLike", light: "numpy.typing.ArrayLike",
+        light_intensity: "numpy.typing.ArrayLike | None" = None, *, size = None))]
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        camera: &Bound<'py, PyAny>,
+        light: &Bound<'py, PyAny>,
+        light_intensity: Option<&Bound<'py, PyAny>>,
+        size: Option<i128>,
+    ) -> PyResult<ImageArray<'py>> {
+        let (camera, light) = (triple("camera", camera)?, triple("light", light)?);
+        let light_intensity = match light_intensity {
+            Some(light_intensity) => intensities("light_intensity", light_intensity, 1)?[0],
+            None => [std::f64::consts::PI * light.iter().map(|x| x * x).sum::<f64>(); 3],
+        };
+        let shot = Shot { camera, light, light_intensity };
+        let size = maybe_count("size", size)?;
+        let photo = detached(py, || match size {
+            Some(size) => render::render(&self.material.resized(size)?, &shot),
+            None => render::render(&self.material, &shot),
+        })?;
+        ImageArray::owned(py, &photo)
+    }
+
+    /// Diffuse albedo: linear RGB from 0 to 1, a read-only array of shape (H, W, 3).
+    #[getter]
+    fn diffuse_albedo<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        self.view(py, |material| &material.diffuse_albedo)
+    }
+
+    /// Specular albedo (reflectance at normal incidence, F0): linear RGB from 0 to 1, a read-only array of shape (H, W, 3).
+    #[getter]
+    fn specular_albedo<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        self.view(py, |material| &material.specular_albedo)
+    }
+
+    /// Perceptual roughness from 0 to 1: a read-only array of shape (H, W, 1), or (H, W, 2) if anisotropic.
+    #[getter]
+    fn roughness<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        self.view(py, |material| &material.roughness)
+    }
+
+    /// Unit normals, +x right, +y up, +z out of the surface: a read-only array of shape (H, W, 3).
+    #[getter]
+    fn normal<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        self.view(py, |material| &material.normal)
+    }
+
+    /// Unit tangents of an anisotropic material, a read-only array of shape (H, W, 3); else None.
+    #[getter]
+    fn tangent<'py>(&self, py: Python<'py>) -> PyResult<Option<ImageArray<'py>>> {
+        let isotropic = self.material.tangent.is_none();
+        let tangent = || self.view(py, |material| material.tangent.as_ref().unwrap_or(&material.normal));
+        if isotropic { Ok(None) } else { tangent().map(Some) }
+    }
+
+    /// Width of the maps in the unit of the capture.
+    #[getter]
+    fn patch_size(&self) -> f64 {
+        self.material.patch_size
+    }
+
+    /// Columns of the maps.
+    #[getter]
+    fn width(&self) -> usize {
+        self.material.width()
+    }
+
+    /// Rows of the maps.
+    #[getter]
+    fn height(&self) -> usize {
+        self.material.height()
+    }
+
+    /// What the fit did (settings, stages, losses, errors of the photos, seconds); empty if there was none.
+    #[getter]
+    fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        match &self.report {
+            Some(report) => dict(py, report),
+            None => Ok(PyDict::new(py)),
+        }
+    }
+
+    /// What a user should know about capture and fit.
+    #[getter]
+    fn warnings(&self) -> Vec<&str> {
+        let warnings = self.report.as_ref().and_then(|report| report.get("warnings")?.as_array());
+        warnings.into_iter().flatten().filter_map(Value::as_str).collect()
+    }
+
+    /// The maps side by side and a view under a light at the upper left, for notebooks.
+    fn _repr_png_<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        detached(py, || material_png(&self.material)).map(|bytes| PyBytes::new(py, &bytes))
+    }
+
+    fn __repr__(&self) -> String {
+        let Self { material, .. } = self;
+        let lobe = if material.tangent.is_some() { "anisotropic" } else { "isotropic" };
+        let (width, height) = (material.width(), material.height());
+        format!("<svbrdf_gcn.Material: {width} x {height} pixels, {lobe}, patch {} wide>", material.patch_size)
+    }
+}
+
+fn format_name(format: MaterialFormat) -> &'static str {
+    match format {
+        MaterialFormat::Png16 => "png16",
+        MaterialFormat::Tiff => "tiff",
+        _ => "exr",
+    }
+}
+
+fn dict<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyDict>> {
+    Ok(py.import("json")?.call_method1("loads", (value.to_string(),))?.cast_into()?)
+}
+
+/// Error of a re-rendered photo, as the literature has it.
+///
+/// Root mean square over all values, encoded with gamma 2.2 and clamped to the range from 0 to 1.
+///
+/// Parameters
+/// ----------
+/// rendering, photo : ndarray of float, shape (H, W, 3), linear RGB
+///
+/// Returns
+/// -------
+/// float
+///
+/// Raises
+/// ------
+/// ShapeError
+///     If the shapes differ.
+/// FormatError
+///     If the arrays are not floats.
+///
+/// Examples
+/// --------
+/// >>> import numpy as np
+/// >>> round(svbrdf_gcn.metrics.photo_rmse(np.full((4, 4, 3), 0.25), np.zeros((4, 4, 3))), 4)
+/// 0.5325
+#[pyfunction]
+#[pyo3(signature = (rendering: "numpy.typing.ArrayLike", photo: "numpy.typing.ArrayLike") -> "float")]
+pub fn photo_rmse(py: Python<'_>, rendering: &Bound<'_, PyAny>, photo: &Bound<'_, PyAny>) -> PyResult<f64> {
+    let (rendering, photo) = (image("rendering", rendering)?, image("photo", photo)?);
+    detached(py, || metrics::photo_rmse(&rendering, &photo))
+}
+
+/// Errors of a material's maps against the true ones.
+///
+/// Parameters
+/// ----------
+/// material, truth : Material
+///
+/// Returns
+/// -------
+/// dict
+///     ``diffuse``, ``specular`` and ``roughness``: RMSE of the ``linear`` and of the ``gamma22`` encoded values; ``normal``: RMSE
+///     of (n + 1) / 2; ``normal_angle_deg``: mean angle between the normals.
+///
+/// Raises
+/// ------
+/// ShapeError
+///     If the maps differ in size.
+///
+/// Examples
+/// --------
+/// >>> truth = svbrdf_gcn.Material.load("samples/tiles/truth")
+/// >>> svbrdf_gcn.metrics.map_errors(truth, truth)["diffuse"]
+/// {'gamma22': 0.0, 'linear': 0.0}
+#[pyfunction]
+#[pyo3(signature = (material: "Material", truth: "Material") -> "dict[str, typing.Any]")]
+pub fn map_errors<'py>(
+    py: Python<'py>,
+    material: &Bound<'py, PyMaterial>,
+    truth: &Bound<'py, PyMaterial>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let (material, truth) = (material.get(), truth.get());
+    let errors = detached(py, || MapErrors::between(&material.material, &truth.material))?;
+    dict(py, &serde_json::to_value(errors).map_err(|error| argument("material", error))?)
+}

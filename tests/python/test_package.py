@@ -1,0 +1,573 @@
+"""The Python package: photos in, maps out, errors, threads, signals."""
+
+import gc
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import svbrdf_gcn
+from svbrdf_gcn import (
+    ArgumentError,
+    Cancelled,
+    CancelToken,
+    Capture,
+    FormatError,
+    Material,
+    Model,
+    ShapeError,
+    SvbrdfError,
+    WeightsError,
+    fit_material,
+    metrics,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+TILES = ROOT / "samples" / "tiles"
+MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "normal")
+# Small and short, and the same for every fit here.
+QUICK = {"preset": "draft", "direct_steps": 10, "threads": 1, "seed": 7}
+SETUP = {"patch_size": 10.0, "light_intensity": 1500.0, "transfer": "linear"}
+
+
+@pytest.fixture(scope="module")
+def tiles():
+    return Capture.open(TILES, size=32)
+
+
+@pytest.fixture(scope="module")
+def fitted(tiles):
+    return fit_material(tiles, **QUICK)
+
+
+def bits(material):
+    return [getattr(material, name).tobytes() for name in MAPS]
+
+
+def as_arrays(capture):
+    """The arguments that describe a capture photo by photo."""
+    return {
+        "camera_positions": capture.camera_positions,
+        "light_positions": capture.light_positions,
+        "light_intensity": capture.light_intensity,
+        "patch_size": capture.patch_size,
+        "transfer": "linear",
+    }
+
+
+def two_photos(dtype=np.float32):
+    values = np.linspace(0, 1, 2 * 6 * 8 * 3).reshape(2, 6, 8, 3)
+    scale = {"u": lambda: np.iinfo(dtype).max, "f": lambda: 1}[np.dtype(dtype).kind]()
+    return (values * scale).astype(dtype)
+
+
+CAMERAS = np.array([[-3.0, 0, 20], [3, 0, 20]])
+
+
+def capture_of(photos, **changes):
+    return Capture(photos, **{"camera_positions": CAMERAS, **SETUP, **changes})
+
+
+# Photos in.
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32", "float64", ">u2", ">f4", ">f8"])
+def test_photos_of_every_type(dtype):
+    photos = two_photos(dtype)
+    capture = capture_of(photos)
+    scale = np.iinfo(dtype).max if np.dtype(dtype).kind == "u" else 1
+    for got, given in zip(capture.photos, photos, strict=True):
+        np.testing.assert_allclose(got, given.astype(np.float64) / scale, rtol=1e-6, atol=1e-7)
+
+
+def layouts():
+    photos = two_photos()
+    read_only = photos.copy()
+    read_only.flags.writeable = False
+    wide = np.zeros((2, 6, 16, 4), np.float32)
+    wide[:, :, ::2, :3] = photos
+    unaligned = np.zeros(photos.nbytes + 1, np.uint8)[1:].view(np.float32).reshape(photos.shape)
+    unaligned[...] = photos
+    return {
+        "packed": photos,
+        "fortran": np.asfortranarray(photos),
+        "bottom-up": photos[:, ::-1].copy()[:, ::-1],
+        "BGR": photos[..., ::-1].copy()[..., ::-1],
+        "read-only": read_only,
+        "strided": wide[:, :, ::2, :3],
+        "unaligned": unaligned,
+        "list": list(photos),
+        "tuple": tuple(photos),
+        "nested lists": photos.astype(np.float64),
+    }
+
+
+@pytest.mark.parametrize("layout", layouts())
+def test_photos_of_every_layout(layout):
+    expected = two_photos()
+    capture = capture_of(layouts()[layout])
+    assert len(capture) == 2 and (capture.width, capture.height) == (8, 6)
+    for got, given in zip(capture.photos, expected, strict=True):
+        np.testing.assert_array_equal(got, given)
+
+
+def test_photos_are_copied():
+    photos = two_photos()
+    capture = capture_of(photos)
+    photos[:] = 0
+    np.testing.assert_array_equal(capture.photos[1], two_photos()[1])
+
+
+def test_grey_photos_and_alpha():
+    grey = two_photos()[..., 0]
+    np.testing.assert_array_equal(capture_of(list(grey)).photos[0], np.repeat(grey[0][:, :, None], 3, axis=2))
+    with_alpha = np.concatenate([two_photos(), np.zeros((2, 6, 8, 1), np.float32)], axis=-1)
+    capture = capture_of(with_alpha)
+    np.testing.assert_array_equal(capture.photos[0], two_photos()[0])
+    assert any("alpha ignored" in warning for warning in capture.warnings)
+
+
+HUGE = np.broadcast_to(np.zeros((), np.uint8), (2, 1 << 20, 1 << 20, 3))
+
+
+@pytest.mark.parametrize(
+    ("photos", "error", "said"),
+    [
+        (None, ShapeError, r"photos: expected shape \(N, H, W, 3\), got \(\)"),
+        (1.5, ShapeError, r"photos: expected shape \(N, H, W, 3\), got \(\)"),
+        (two_photos()[0], ShapeError, r"photos: expected shape \(N, H, W, 3\), got \(6, 8, 3\)"),
+        ([None, None], ShapeError, r"photos\[0\]: .*got \(\)"),
+        (two_photos()[..., :0], ShapeError, r"photos\[0\]: .*got \(6, 8, 0\)"),
+        (two_photos()[:, :0], ShapeError, r"photos\[0\]: .*got \(0, 8, 3\)"),
+        (np.zeros((2, 6, 8, 5)), ShapeError, r"photos\[0\]: .*got \(6, 8, 5\)"),
+        ([two_photos()[0], two_photos()[0, :4]], ShapeError, r"photos\[1\]: expected 8 x 6 .*got 8 x 4"),
+        ([], ShapeError, r"camera_positions: expected shape \(0, 3\), got \(2, 3\)"),
+        (HUGE, ShapeError, r"photos\[0\]: expected at most 1073741824 bytes .*got \(1048576, 1048576, 3\)"),
+        (two_photos().astype(np.int32), FormatError, r"photos\[0\]: expected uint8, .*got int32"),
+        (two_photos() > 0.5, FormatError, "got bool"),
+        (two_photos().astype(complex), FormatError, "got complex128"),
+        (two_photos() * np.array([1, np.nan, 1], np.float32), ArgumentError, r"photos\[0\]: pixel value NaN in row 0"),
+        (two_photos().astype(np.float64) * 1e300, ArgumentError, r"photos\[0\]: pixel value inf"),
+        ([two_photos()[0], "photo.png"], FormatError, "photos: expected only paths or only arrays, got both"),
+        (["no.png", "photo.png"], FileNotFoundError, "no.png"),
+    ],
+)
+def test_bad_photos_are_refused(photos, error, said):
+    with pytest.raises(error, match=said):
+        capture_of(photos)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "said"),
+    [
+        ({"camera_positions": CAMERAS[:1]}, ShapeError, r"camera_positions: expected shape \(2, 3\), got \(1, 3\)"),
+        ({"camera_positions": -CAMERAS}, ArgumentError, r"photos\[0\]: camera .* behind the sample"),
+        ({"camera_positions": CAMERAS * np.nan}, ArgumentError, "not finite"),
+        ({"camera_positions": "here"}, ValueError, "could not convert"),
+        ({"light_positions": [0, 0, 1]}, ShapeError, r"light_positions: expected shape \(2, 3\), got \(3,\)"),
+        ({"light_intensity": -1}, ArgumentError, "light_intensity must be finite, not negative"),
+        ({"light_intensity": [1, 2]}, ShapeError, r"light_intensity: expected shape \(\), \(3,\) or \(2, 3\), got \(2,\)"),
+        ({"patch_size": 0}, ArgumentError, "patch_size: expected a finite number above 0, got 0"),
+        ({"transfer": "rec709"}, ArgumentError, "transfer: expected srgb, gamma2.2 or linear, got 'rec709'"),
+        ({"white_level": -1}, ArgumentError, "white_level: .*got -1"),
+        ({"size": 0}, ArgumentError, "size: .*got 0"),
+        ({"size": -5}, ArgumentError, "size: expected an integer of 0 or more, got -5"),
+        ({"size": 2**64}, ArgumentError, "size: expected a smaller integer"),
+        ({"size": 1.5}, TypeError, "size"),
+        ({"views": [0, 2]}, ArgumentError, "views: photo 2 of a capture of 2 photos"),
+        ({"views": []}, ArgumentError, "views: expected at least one photo"),
+    ],
+)
+def test_bad_descriptions_are_refused(changes, error, said):
+    with pytest.raises(error, match=said):
+        capture_of(two_photos(), **changes)
+
+
+def test_what_photos_need_and_captures_bring(tiles):
+    needed = {"camera_positions": CAMERAS, **SETUP}
+    for name in needed:
+        given = {key: value for key, value in needed.items() if key != name}
+        with pytest.raises(ArgumentError, match=f"^{name}: expected .* got None"):
+            fit_material(two_photos(), **given)
+    for source in (tiles, TILES):
+        for name, value in {**needed, "light_positions": CAMERAS, "white_level": 1.0}.items():
+            if source is TILES and name == "transfer":
+                continue
+            with pytest.raises(ArgumentError, match=f"^{name}: the capture brings its own"):
+                fit_material(source, **{name: value})
+    with pytest.raises(ArgumentError, match="^size: the capture brings its own"):
+        fit_material(tiles, size=16)
+
+
+def test_image_files_are_photos(tiles):
+    capture = Capture.open(TILES, size=32)
+    described = {**as_arrays(capture), "transfer": capture.transfer}
+    files = [TILES / name for name in capture.names]
+    again = Capture(files, size=32, **described)
+    assert again.names == capture.names
+    np.testing.assert_array_equal(again.photos, capture.photos)
+
+
+def test_a_capture_tells_what_it_holds(tiles):
+    stated = json.loads((TILES / "capture.json").read_text())
+    np.testing.assert_array_equal(tiles.camera_positions, [photo["camera"] for photo in stated["photos"]])
+    assert tiles.names == [photo["file"] for photo in stated["photos"]]
+    assert (tiles.patch_size, tiles.transfer, tiles.unit) == (stated["patch_size"], stated["transfer"], stated["unit"])
+    assert tiles.select([8, 1]).names == [tiles.names[8], tiles.names[1]]
+    with pytest.raises(ArgumentError, match="views: photo 9"):
+        tiles.select([9])
+    with pytest.raises(ArgumentError, match="views: .*-1"):
+        tiles.select([-1])
+
+
+# Fits.
+
+
+def test_every_way_to_give_photos_gives_the_same_bits(tiles, fitted):
+    photos = np.stack(tiles.photos)
+    assert bits(fit_material(str(TILES), size=32, **QUICK)) == bits(fitted)
+    # What was saturated in the files is not known of linear arrays, so these are compared with one another.
+    first = fit_material(photos, **as_arrays(tiles), **QUICK)
+    assert bits(fit_material(list(photos.astype(np.float64)), **as_arrays(tiles), **QUICK)) == bits(first)
+    assert bits(fit_material(Capture(photos, **as_arrays(tiles)), **QUICK)) == bits(first)
+
+
+def test_maps_are_in_range_and_fit_the_photos(tiles, fitted):
+    for name in ("diffuse_albedo", "specular_albedo", "roughness"):
+        values = getattr(fitted, name)
+        assert values.dtype == np.float32 and values.min() >= 0 and values.max() <= 1
+    np.testing.assert_allclose(np.linalg.norm(fitted.normal, axis=-1), 1, atol=1e-5)
+    assert fitted.tangent is None
+    errors = [
+        metrics.photo_rmse(fitted.render(camera, light, intensity), photo)
+        for camera, light, intensity, photo in zip(
+            tiles.camera_positions, tiles.light_positions, tiles.light_intensity, tiles.photos, strict=True
+        )
+    ]
+    np.testing.assert_allclose(errors, fitted.report["photo_errors"], rtol=1e-6)
+    mean = np.mean(tiles.photos, axis=0)
+    assert np.mean(errors) < 0.5 * np.mean([metrics.photo_rmse(mean, photo) for photo in tiles.photos])
+
+
+def test_maps_are_views_that_keep_the_material_alive(tiles):
+    material = fit_material(tiles, **QUICK)
+    view, copy = material.normal, material.normal.copy()
+    assert not view.flags.writeable and not view.flags.owndata
+    assert view.ctypes.data == material.normal.ctypes.data
+    with pytest.raises(ValueError, match="read-only"):
+        view[0, 0, 0] = 1
+    with pytest.raises(ValueError, match="WRITEABLE"):
+        view.flags.writeable = True
+    part = view[3:5, ::2]
+    del material, view
+    gc.collect()
+    # What is freed is soon used for something else.
+    noise = [np.full(copy.shape, -7, np.float32) for _ in range(50)]
+    np.testing.assert_array_equal(part, copy[3:5, ::2])
+    assert len(noise) == 50
+
+
+def test_photos_of_a_capture_are_read_only_views():
+    photo = capture_of(two_photos()).photos[0]
+    assert not photo.flags.writeable
+    gc.collect()
+    np.testing.assert_array_equal(photo, two_photos()[0])
+
+
+def test_bad_options_are_named(tiles):
+    for options, error, said in [
+        ({"preset": "fast"}, ArgumentError, "preset: expected draft, balanced or high, got 'fast'"),
+        ({"method": "magic"}, ArgumentError, "method: expected auto, network or direct, got 'magic'"),
+        ({"method": "network"}, ArgumentError, "method: network needs weights"),
+        ({"threads": 0}, ArgumentError, "threads: expected at least 1, got 0"),
+        ({"seed": -1}, ArgumentError, "seed: expected an integer of 0 or more, got -1"),
+        ({"direct_steps": "many"}, TypeError, "direct_steps"),
+        ({"max_memory": 1000}, MemoryError, "max_memory: .*allowed are 1000"),
+        ({"progress": 5}, ArgumentError, "progress: expected something to call, got 5"),
+        ({"cancel": True}, TypeError, "cancel"),
+        ({"weights": TILES / "00.png"}, WeightsError, "weights: "),
+        ({"weights": "no.safetensors"}, FileNotFoundError, "no.safetensors"),
+    ]:
+        with pytest.raises(error, match=said):
+            fit_material(tiles, **options)
+    with pytest.raises(TypeError, match="positional"):
+        fit_material(tiles, CAMERAS)
+
+
+def test_errors_have_two_bases():
+    for error, base in [
+        (ArgumentError, ValueError),
+        (ShapeError, ValueError),
+        (FormatError, TypeError),
+        (WeightsError, ValueError),
+        (svbrdf_gcn.NonFiniteError, ArithmeticError),
+        (Cancelled, Exception),
+    ]:
+        assert issubclass(error, SvbrdfError) and issubclass(error, base)
+
+
+def test_system_errors_say_which_file(tmp_path):
+    with pytest.raises(FileNotFoundError) as caught:
+        Capture.open(tmp_path / "none")
+    assert caught.value.errno == 2 and caught.value.filename == str(tmp_path / "none")
+    with pytest.raises(NotADirectoryError) as caught:
+        Material.load(TILES / "truth").save(TILES / "00.png" / "x")
+    assert caught.value.filename == str(TILES / "00.png" / "x")
+    broken = tmp_path / "broken.png"
+    broken.write_bytes((TILES / "00.png").read_bytes()[:5000])
+    with pytest.raises(OSError, match="broken.png") as caught:
+        capture_of([broken, broken])
+    assert caught.value.errno is None and caught.value.filename == str(broken)
+
+
+# Stopping.
+
+
+@pytest.mark.parametrize("at", [0.0, 0.5, 1.0])
+def test_cancel_at_the_start_in_the_middle_and_at_the_end(tiles, fitted, at):
+    token = CancelToken()
+    seen = []
+
+    def cancel(progress):
+        seen.append(progress)
+        if progress.step >= at * progress.steps:
+            token.cancel()
+
+    # Steps long enough for a report each.
+    options = {**QUICK, "direct_steps": 400, "early_stop": False}
+    if at == 0:
+        token.cancel()
+    if at < 1:
+        with pytest.raises(Cancelled):
+            fit_material(tiles, progress=cancel, cancel=token, **options)
+    else:
+        # When the last step is reported all work is done, or still to be seen through: either is right.
+        try:
+            fit_material(tiles, progress=cancel, cancel=token, **options)
+        except Cancelled:
+            pass
+    assert token.cancelled
+    if at == 0.5:
+        assert seen[-1].step < 400
+    assert bits(fit_material(tiles, **QUICK)) == bits(fitted)
+
+
+def test_cancel_from_another_thread(tiles):
+    token, started = CancelToken(), threading.Event()
+    stopper = threading.Thread(target=lambda: (started.wait(30), token.cancel()))
+    stopper.start()
+    with pytest.raises(Cancelled):
+        fit_material(tiles, direct_steps=10**8, early_stop=False, progress=lambda _: started.set(), cancel=token)
+    stopper.join()
+
+
+def test_other_threads_run_during_a_fit(tiles):
+    counts, token = [], CancelToken()
+
+    def count():
+        for number in range(200):
+            counts.append(number)
+            time.sleep(0.001)
+        token.cancel()
+
+    counter = threading.Thread(target=count)
+    counter.start()
+    with pytest.raises(Cancelled):
+        fit_material(tiles, direct_steps=10**8, early_stop=False, cancel=token)
+    counter.join()
+    assert len(counts) == 200
+
+
+def test_two_fits_at_once(tiles, fitted):
+    results = [None, None]
+
+    def run(index):
+        results[index] = fit_material(tiles, **QUICK)
+
+    threads = [threading.Thread(target=run, args=(index,)) for index in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert bits(results[0]) == bits(results[1]) == bits(fitted)
+
+
+def test_progress_is_reported_in_order(tiles):
+    seen = []
+    fit_material(tiles, progress=seen.append, **QUICK)
+    steps = [(report.stage, report.step) for report in seen]
+    assert steps == sorted(steps) and steps[-1] == ("direct", 10)
+    assert seen[-1].steps == 10 and seen[-1].loss > 0
+
+
+def test_reports_come_at_most_every_50_ms(tiles):
+    times = []
+    fit_material(tiles, **{**QUICK, "direct_steps": 300, "early_stop": False}, progress=lambda p: times.append((time.monotonic(), p)))
+    within = [now for now, report in times if report.step < report.steps]
+    assert all(after - before > 0.049 for before, after in zip(within, within[1:]))
+
+
+class Odd(Exception):
+    """An exception of the caller's own."""
+
+
+def test_what_a_callback_raises_comes_out_unchanged(tiles, fitted):
+    raised = Odd("mine")
+
+    def fail(_):
+        raise raised
+
+    with pytest.raises(Odd) as caught:
+        fit_material(tiles, progress=fail, **QUICK)
+    assert caught.value is raised
+    assert bits(fit_material(tiles, **QUICK)) == bits(fitted)
+
+
+def test_a_callback_may_fit(tiles, fitted):
+    inner = []
+
+    def fit(_):
+        if not inner:
+            inner.append(fit_material(tiles, **QUICK))
+
+    assert bits(fit_material(tiles, progress=fit, **QUICK)) == bits(fitted) == bits(inner[0])
+
+
+def test_control_c_stops_a_fit():
+    program = """
+import svbrdf_gcn, sys
+said = []
+def say(progress):
+    if not said:
+        said.append(print("running", flush=True))
+try:
+    svbrdf_gcn.fit_material(sys.argv[1], size=32, direct_steps=10**8, early_stop=False, progress=say)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+    svbrdf_gcn.fit_material(sys.argv[1], size=16, direct_steps=2)
+    print("again", flush=True)
+"""
+    command = [sys.executable, "-c", program, str(TILES)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "running\n"
+        process.send_signal(signal.SIGINT)
+        rest, _ = process.communicate(timeout=60)
+    assert rest == "interrupted\nagain\n" and process.returncode == 0
+
+
+# Materials.
+
+
+def test_saved_maps_are_those_of_the_command_line(tmp_path):
+    options = ["--size", "32", "--preset", "draft", "--threads", "2", "--seed", "3", "--quiet"]
+    for format in ("exr", "png16", "tiff"):
+        by_command, by_python = tmp_path / f"command-{format}", tmp_path / f"python-{format}"
+        command = [sys.executable, "-m", "svbrdf_gcn", "fit", str(TILES), "-o", str(by_command), "--format", format, *options]
+        subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
+        material = fit_material(TILES, size=32, preset="draft", threads=2, seed=3)
+        material.save(by_python, format=format)
+        names = {path.name for path in by_command.iterdir()} - {"preview.png"}
+        assert names == {path.name for path in by_python.iterdir()} and len(names) == 5
+        for name in names - {"material.json"}:
+            assert (by_command / name).read_bytes() == (by_python / name).read_bytes(), name
+        described = [json.loads((folder / "material.json").read_text()) for folder in (by_command, by_python)]
+        for description in described:
+            description["report"].pop("seconds")
+            for stage in description["report"]["stages"]:
+                stage.pop("seconds")
+        assert described[0] == described[1]
+
+
+def test_the_command_line_is_a_module(tmp_path):
+    run = lambda *arguments: subprocess.run(  # noqa: E731
+        [sys.executable, "-m", "svbrdf_gcn", *arguments], capture_output=True, text=True, check=False
+    )
+    version = run("--version")
+    assert (version.returncode, version.stdout) == (0, f"svbrdf-gcn {svbrdf_gcn.__version__}\n")
+    missing = run("fit", str(tmp_path / "none"), "-o", str(tmp_path / "out"))
+    assert missing.returncode == 3 and "none" in missing.stderr
+
+
+def test_materials_load_what_they_save(fitted, tmp_path):
+    fitted.save(tmp_path, format="tiff")
+    again = Material.load(tmp_path)
+    # Normals and albedos are limited once more, which may change the last bit.
+    for name in MAPS:
+        np.testing.assert_allclose(getattr(again, name), getattr(fitted, name), atol=3e-7)
+    assert again.report == fitted.report and again.warnings == fitted.warnings
+    with pytest.raises(FormatError, match="encoding must be stated"):
+        Material.load(TILES)
+    with pytest.raises(ArgumentError, match="format: expected exr, png16 or tiff, got 'jpg'"):
+        fitted.save(tmp_path, format="jpg")
+    with pytest.raises(ArgumentError, match="encoding: expected .*got 'other'"):
+        Material.load(TILES, encoding="other")
+
+
+def test_materials_from_arrays():
+    rng = np.random.default_rng(1)
+    normal = np.zeros((5, 7, 3)) + [0, 0, 1]
+    tangent = np.zeros((5, 7, 3)) + [1, 0, 0]
+    material = Material(
+        rng.random((5, 7, 3)), rng.random((5, 7, 3)), rng.random((5, 7, 2)), normal, tangent, patch_size=2
+    )
+    np.testing.assert_array_equal(material.tangent, tangent)
+    assert material.report == {} and material.warnings == [] and material.roughness.shape == (5, 7, 2)
+    photo = material.render([0, 0, 4], [1, 0, 4])
+    assert photo.shape == (5, 7, 3) and photo.flags.writeable and photo.flags.owndata
+    # Radiance is linear in the intensity of the light.
+    twice = material.render([0, 0, 4], [1, 0, 4], [2 * np.pi * 17, np.pi * 17, 0])
+    np.testing.assert_allclose(twice, photo * np.array([2, 1, 0]), rtol=1e-6)
+    grey = rng.random((5, 7, 3))
+    for arguments, error, said in [
+        ((grey, grey, grey[..., 0], normal[:4]), ShapeError, "expected shape"),
+        ((grey, grey, grey, normal), ShapeError, "roughness"),
+        ((grey * np.nan, grey, grey[..., 0], normal), ArgumentError, "diffuse_albedo"),
+        ((grey.astype(np.uint8), grey, grey[..., 0], normal), FormatError, "diffuse_albedo: .*got uint8"),
+    ]:
+        with pytest.raises(error, match=said):
+            Material(*arguments, patch_size=1)
+
+
+def test_a_white_matt_patch_is_white_under_the_default_light():
+    white, flat = np.ones((5, 5, 3)), np.zeros((5, 5, 3)) + [0, 0, 1]
+    material = Material(white, 0 * white, white[..., :1], flat, patch_size=0.01)
+    np.testing.assert_allclose(material.render([0, 0, 3], [0, 0, 3])[2, 2], 1, rtol=1e-3)
+    with pytest.raises(ShapeError, match=r"camera: expected shape \(3,\), got \(2,\)"):
+        material.render([0, 1], [0, 0, 1])
+    with pytest.raises(ArgumentError, match="light"):
+        material.render([0, 0, 1], [0, 0, np.inf])
+
+
+def test_notebooks_show_a_picture(fitted):
+    png = fitted._repr_png_()
+    assert png[:8] == b"\x89PNG\r\n\x1a\n" and len(png) > 10_000
+
+
+def test_metrics():
+    truth = Material.load(TILES / "truth")
+    other = Material(
+        truth.diffuse_albedo[::-1], truth.specular_albedo, truth.roughness, truth.normal, patch_size=truth.patch_size
+    )
+    errors = metrics.map_errors(other, truth)
+    difference = np.asarray(other.diffuse_albedo, np.float64) - truth.diffuse_albedo
+    assert errors["diffuse"]["linear"] == pytest.approx(np.sqrt(np.mean(difference**2)), rel=1e-6)
+    assert errors["roughness"] == {"linear": 0.0, "gamma22": 0.0}
+    assert errors["normal"] < 1e-6 and errors["normal_angle_deg"] < 1e-3
+    with pytest.raises(ShapeError, match=r"normal: expected shape \(64, 64, 3\), got \(256, 256, 3\)"):
+        metrics.map_errors(truth, Material.load(ROOT / "samples" / "lambert" / "truth"))
+    with pytest.raises(ShapeError, match="rendering"):
+        metrics.photo_rmse(np.zeros((4, 4, 3)), np.zeros((4, 5, 3)))
+    with pytest.raises(FormatError, match="photo: expected linear values as floats, got uint8"):
+        metrics.photo_rmse(np.zeros((4, 4, 3)), np.zeros((4, 4, 3), np.uint8))
+
+
+def test_the_version_is_that_of_the_workspace():
+    manifest = (ROOT / "Cargo.toml").read_text()
+    assert f'\nversion = "{svbrdf_gcn.__version__}"\n' in manifest
