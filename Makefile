@@ -12,7 +12,7 @@ ifneq ($(wildcard ../shared/REFERENCE.md),)
 export SVBRDF_GCN_REQUIRE_SHARED := 1
 endif
 
-.PHONY: help build demo test setup lint unit docs-test python-build python-test wheel bench fuzz sample clean
+.PHONY: help build demo test setup lint unit docs-test python-build python-test stubs wheel bench fuzz sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -42,17 +42,27 @@ unit: ## Rust tests
 docs-test: ## the examples in the documentation
 	$(CARGO) test --workspace --doc --locked
 
-python-build: ## the Python package, installed in .venv
-	rm -rf target/wheels
-	$(VENV)/bin/maturin build --manifest-path python/Cargo.toml --locked --profile dev --out target/wheels
-	$(VENV)/bin/pip install --quiet --force-reinstall --no-deps target/wheels/*.whl
+MATURIN := $(VENV)/bin/maturin
+PACKAGE := --manifest-path python/Cargo.toml --locked
+
+python-build: ## the Python package, installed in .venv; its stubs must be those that `make stubs` writes
+	rm -rf target/wheels target/stubs
+	$(MATURIN) build $(PACKAGE) --profile dev --out target/wheels
+	$(MATURIN) generate-stubs $(PACKAGE) --profile dev --out target/stubs
+	diff -u python/svbrdf_gcn/_svbrdf_gcn.pyi target/stubs/svbrdf_gcn/_svbrdf_gcn.pyi
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
+	$(VENV)/numpy1/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
+
+stubs: setup ## write the types of the Python package anew
+	$(MATURIN) generate-stubs $(PACKAGE) --profile dev --out python
 
 wheel: setup ## the Python package as a wheel in dist (PROFILE=dev for a quick one)
 	rm -f dist/*.whl
-	$(VENV)/bin/maturin build --manifest-path python/Cargo.toml --locked --profile $(PROFILE) --strip --out dist
+	$(MATURIN) build $(PACKAGE) --profile $(PROFILE) --strip --out dist
 
 python-test: ## Python package and tools
 	$(VENV)/bin/python -m pytest -q tests/python
+	SVBRDF_GCN_NUMPY=1.26 $(VENV)/numpy1/bin/python -m pytest -q tests/python/test_package.py
 
 bench: ## benchmarks; figures are in docs/performance.md
 	$(CARGO) bench -p svbrdf-gcn

@@ -22,9 +22,13 @@ if [ ${#missing[@]} -gt 0 ]; then
     fi
 fi
 
-stamp=.venv/requirements.txt
-if ! cmp -s tests/python/requirements.txt "$stamp"; then
-    [ -x .venv/bin/python ] || python3 -m venv .venv
-    .venv/bin/pip install --quiet --disable-pip-version-check -r tests/python/requirements.txt
-    cp tests/python/requirements.txt "$stamp"
-fi
+# A virtual environment with the packages of a requirements file, made anew where the file has changed.
+environment() {
+    local folder=$1 requirements=$2
+    cmp -s "$requirements" "$folder/requirements.txt" && return
+    [ -x "$folder/bin/python" ] || python3 -m venv "$folder"
+    "$folder/bin/pip" install --quiet --disable-pip-version-check -r "$requirements"
+    cp "$requirements" "$folder/requirements.txt"
+}
+environment .venv tests/python/requirements.txt
+environment .venv/numpy1 tests/python/requirements-numpy1.txt

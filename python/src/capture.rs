@@ -1,6 +1,6 @@
 //! Captures, and the ways to say which photos are meant.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use pyo3::prelude::*;
@@ -10,6 +10,7 @@ use svbrdf_gcn::{Capture, CaptureOptions, PhotoPixels, Shot, Transfer};
 use crate::arrays::{ImageArray, Pixels, Triples, asarray, intensities, shape_of, triples, tuple};
 use crate::errors::{argument, detached, format, shape};
 use crate::options::{choice, counts, maybe_count};
+use crate::types::{ArrayLike, Photos, Source};
 
 /// What says how a capture is read.
 #[derive(Default)]
@@ -38,10 +39,10 @@ impl Reading {
 /// What is known of photos that are not part of a capture.
 #[derive(Default)]
 pub struct Setup<'py> {
-    pub camera_positions: Option<Bound<'py, PyAny>>,
-    pub light_positions: Option<Bound<'py, PyAny>>,
+    pub camera_positions: Option<ArrayLike<'py>>,
+    pub light_positions: Option<ArrayLike<'py>>,
     pub patch_size: Option<f64>,
-    pub light_intensity: Option<Bound<'py, PyAny>>,
+    pub light_intensity: Option<ArrayLike<'py>>,
     pub white_level: Option<f32>,
 }
 
@@ -81,24 +82,23 @@ impl Setup<'_> {
 ///
 /// # Errors
 /// `ArgumentError` for arguments that a capture brings itself or that photos lack; as `Capture` and `Capture.open` otherwise.
-pub fn capture(photos: &Bound<'_, PyAny>, setup: &Setup<'_>, reading: &Reading) -> PyResult<Arc<Capture>> {
-    let brings = |name: &str| argument(name, "the capture brings its own, got it twice");
-    if let Ok(capture) = photos.cast::<PyCapture>() {
-        return match setup.given().or_else(|| reading.given()) {
-            Some(name) => Err(brings(name)),
-            None => Ok(capture.get().0.clone()),
-        };
+pub fn capture(py: Python<'_>, source: &Source<'_>, setup: &Setup<'_>, reading: &Reading) -> PyResult<Arc<Capture>> {
+    let given = match source {
+        Source::Capture(_) => setup.given().or_else(|| reading.given()),
+        Source::Path(_) => setup.given(),
+        Source::Photos(_) => None,
+    };
+    if let Some(name) = given {
+        return Err(argument(name, "the capture brings its own, got it twice"));
     }
-    match path(photos)? {
-        Some(path) => match setup.given() {
-            Some(name) => Err(brings(name)),
-            None => open(photos.py(), path, reading),
-        },
-        None => from_photos(photos, setup, reading),
+    match source {
+        Source::Capture(capture) => Ok(capture.get().0.clone()),
+        Source::Path(path) => open(py, path, reading),
+        Source::Photos(photos) => from_photos(&photos.0, setup, reading),
     }
 }
 
-fn open(py: Python<'_>, path: PathBuf, reading: &Reading) -> PyResult<Arc<Capture>> {
+fn open(py: Python<'_>, path: &Path, reading: &Reading) -> PyResult<Arc<Capture>> {
     let options = reading.options()?;
     detached(py, || Capture::open_with(path, &options)).map(Arc::new)
 }
@@ -223,19 +223,16 @@ pub struct PyCapture(pub Arc<Capture>);
 #[pymethods]
 impl PyCapture {
     #[new]
-    #[pyo3(signature = (
-        photos: "numpy.typing.ArrayLike | typing.Sequence[numpy.typing.ArrayLike] | typing.Sequence[str | os.PathLike[str]]",
-        *, camera_positions: "numpy.typing.ArrayLike", patch_size, light_intensity: "numpy.typing.ArrayLike", transfer,
-        light_positions: "numpy.typing.ArrayLike | None" = None, white_level = None,
-        size = None, views = None))]
+    #[pyo3(signature = (photos, *, camera_positions, patch_size, light_intensity, transfer, light_positions = None,
+        white_level = None, size = None, views = None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn new<'py>(
-        photos: &Bound<'py, PyAny>,
-        camera_positions: Bound<'py, PyAny>,
+        photos: Photos<'py>,
+        camera_positions: ArrayLike<'py>,
         patch_size: f64,
-        light_intensity: Bound<'py, PyAny>,
+        light_intensity: ArrayLike<'py>,
         transfer: String,
-        light_positions: Option<Bound<'py, PyAny>>,
+        light_positions: Option<ArrayLike<'py>>,
         white_level: Option<f32>,
         size: Option<i128>,
         views: Option<Vec<i128>>,
@@ -247,7 +244,7 @@ impl PyCapture {
             light_intensity: Some(light_intensity),
             white_level,
         };
-        from_photos(photos, &setup, &Reading { size, views, transfer: Some(transfer) }).map(Self)
+        from_photos(&photos.0, &setup, &Reading { size, views, transfer: Some(transfer) }).map(Self)
     }
 
     /// Read a capture: its folder or its JSON file.
@@ -288,7 +285,7 @@ impl PyCapture {
         views: Option<Vec<i128>>,
         transfer: Option<String>,
     ) -> PyResult<Self> {
-        open(py, path, &Reading { size, views, transfer }).map(Self)
+        open(py, &path, &Reading { size, views, transfer }).map(Self)
     }
 
     /// The capture with only some of its photos.

@@ -10,9 +10,10 @@ use svbrdf_gcn::nn::Model;
 use svbrdf_gcn::{Capture, FitOptions, Method, Preset, fit_material};
 
 use crate::capture::{Reading, Setup, capture};
-use crate::errors::{argument, detached};
+use crate::errors::detached;
 use crate::material::PyMaterial;
 use crate::options::{choice, count, maybe_count};
+use crate::types::{ArrayLike, Callback, Source, Weights};
 
 /// Python is asked for signals, and the callback called, no more often than this.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -214,31 +215,25 @@ impl PyModel {
 /// >>> material.roughness.shape, material.report["method"]
 /// ((32, 32, 1), 'direct')
 #[pyfunction]
-#[pyo3(name = "fit_material", signature = (
-    capture_or_photos: "Capture | str | os.PathLike[str] | numpy.typing.ArrayLike | typing.Sequence[numpy.typing.ArrayLike] | typing.Sequence[str | os.PathLike[str]]",
-    *, camera_positions: "numpy.typing.ArrayLike | None" = None, light_positions: "numpy.typing.ArrayLike | None" = None,
-    patch_size = None, light_intensity: "numpy.typing.ArrayLike | None" = None, transfer = None,
-    size = None, views = None, white_level = None,
-    preset = "balanced", method = "auto", weights: "Model | str | os.PathLike[str] | None" = None,
-    latent_steps = None, adapter_steps = None,
-    direct_steps = None, max_memory = None,
-    seed = 0, threads = None, early_stop = None,
-    progress: "typing.Callable[[Progress], object] | None" = None, cancel: "CancelToken | None" = None) -> "Material")]
+#[pyo3(name = "fit_material", signature = (capture_or_photos, *, camera_positions = None, light_positions = None,
+    patch_size = None, light_intensity = None, transfer = None, size = None, views = None, white_level = None,
+    preset = "balanced", method = "auto", weights = None, latent_steps = None, adapter_steps = None, direct_steps = None,
+    max_memory = None, seed = 0, threads = None, early_stop = None, progress = None, cancel = None))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn py_fit_material<'py>(
     py: Python<'py>,
-    capture_or_photos: &Bound<'py, PyAny>,
-    camera_positions: Option<Bound<'py, PyAny>>,
-    light_positions: Option<Bound<'py, PyAny>>,
+    capture_or_photos: Source<'py>,
+    camera_positions: Option<ArrayLike<'py>>,
+    light_positions: Option<ArrayLike<'py>>,
     patch_size: Option<f64>,
-    light_intensity: Option<Bound<'py, PyAny>>,
+    light_intensity: Option<ArrayLike<'py>>,
     transfer: Option<String>,
     size: Option<i128>,
     views: Option<Vec<i128>>,
     white_level: Option<f32>,
     preset: &str,
     method: &str,
-    weights: Option<Bound<'py, PyAny>>,
+    weights: Option<Weights<'py>>,
     latent_steps: Option<i128>,
     adapter_steps: Option<i128>,
     direct_steps: Option<i128>,
@@ -246,7 +241,7 @@ pub fn py_fit_material<'py>(
     seed: i128,
     threads: Option<i128>,
     early_stop: Option<bool>,
-    progress: Option<Bound<'py, PyAny>>,
+    progress: Option<Callback>,
     cancel: Option<&Bound<'py, PyCancelToken>>,
 ) -> PyResult<PyMaterial> {
     let mut options = FitOptions::preset(choice("preset", preset, &PRESETS, preset_name)?);
@@ -261,14 +256,11 @@ pub fn py_fit_material<'py>(
     if let Some(token) = cancel {
         options.cancel = token.get().0.clone();
     }
-    if let Some(progress) = progress.as_ref().filter(|progress| !progress.is_callable()) {
-        return Err(argument("progress", format_args!("expected something to call, got {}", progress.repr()?)));
-    }
     let setup = Setup { camera_positions, light_positions, patch_size, light_intensity, white_level };
-    let capture = capture(capture_or_photos, &setup, &Reading { size, views, transfer })?;
-    let model = weights.map(|weights| model(&weights, &capture)).transpose()?;
+    let capture = capture(py, &capture_or_photos, &setup, &Reading { size, views, transfer })?;
+    let model = weights.map(|weights| model(py, &weights, &capture)).transpose()?;
 
-    let mut reports = Reports { callback: progress.map(Bound::unbind), next: Instant::now(), raised: None };
+    let mut reports = Reports { callback: progress, next: Instant::now(), raised: None };
     let fit =
         detached(py, || fit_material(&capture, model.as_deref(), &options, &mut |progress| reports.pass(progress)));
     match reports.raised {
@@ -297,17 +289,16 @@ fn method_name(method: Method) -> &'static str {
     }
 }
 
-fn model(weights: &Bound<'_, PyAny>, capture: &Capture) -> PyResult<Arc<Model>> {
-    if let Ok(model) = weights.cast::<PyModel>() {
-        return Ok(model.get().0.clone());
+fn model(py: Python<'_>, weights: &Weights<'_>, capture: &Capture) -> PyResult<Arc<Model>> {
+    match weights {
+        Weights::Model(model) => Ok(model.get().0.clone()),
+        Weights::Path(path) => detached(py, || Model::load_for(path, capture.len())).map(Arc::new),
     }
-    let path: PathBuf = weights.extract()?;
-    detached(weights.py(), || Model::load_for(path, capture.len())).map(Arc::new)
 }
 
 /// Brings the reports of a fit to Python.
 struct Reports {
-    callback: Option<Py<PyAny>>,
+    callback: Option<Callback>,
     next: Instant,
     raised: Option<PyErr>,
 }
@@ -320,7 +311,7 @@ impl Reports {
         }
         let result = Python::attach(|py| {
             py.check_signals()?;
-            let Some(callback) = &self.callback else { return Ok(()) };
+            let Some(Callback(callback)) = &self.callback else { return Ok(()) };
             let (step, steps) = (progress.step, progress.steps);
             let report = PyProgress { stage: progress.stage.name(), step, steps, loss: progress.loss };
             callback.call1(py, (report,)).map(drop)

@@ -6,6 +6,7 @@ mod errors;
 mod fit;
 mod material;
 mod options;
+mod types;
 
 /// The compiled part of ``svbrdf_gcn``.
 #[pyo3::pymodule]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict};
+use pyo3::types::PyBytes;
 use serde_json::Value;
 use svbrdf_gcn::fit::Fit;
 use svbrdf_gcn::io::material::{
@@ -17,6 +17,7 @@ use svbrdf_gcn::{Capture, Image, Material, Shot, metrics, render};
 use crate::arrays::{ImageArray, image, intensities, triple};
 use crate::errors::{argument, detached};
 use crate::options::{choice, maybe_count};
+use crate::types::{ArrayLike, Json};
 
 /// The maps of a material.
 ///
@@ -54,14 +55,14 @@ use crate::options::{choice, maybe_count};
 #[pyclass(frozen, name = "Material", module = "svbrdf_gcn")]
 pub struct PyMaterial {
     material: Arc<Material>,
-    report: Option<Value>,
+    report: Value,
     unit: Option<String>,
 }
 
 impl PyMaterial {
     pub fn fitted(fit: Fit, capture: &Capture) -> PyResult<Self> {
         let report = serde_json::to_value(&fit.report).map_err(|error| argument("report", error))?;
-        Ok(Self { material: Arc::new(fit.material), report: Some(report), unit: capture.unit().map(ToOwned::to_owned) })
+        Ok(Self { material: Arc::new(fit.material), report, unit: capture.unit().map(ToOwned::to_owned) })
     }
 
     fn view<'py>(&self, py: Python<'py>, map: fn(&Material) -> &Image) -> PyResult<ImageArray<'py>> {
@@ -72,29 +73,27 @@ impl PyMaterial {
 #[pymethods]
 impl PyMaterial {
     #[new]
-    #[pyo3(signature = (diffuse_albedo: "numpy.typing.ArrayLike", specular_albedo: "numpy.typing.ArrayLike",
-        roughness: "numpy.typing.ArrayLike", normal: "numpy.typing.ArrayLike",
-        tangent: "numpy.typing.ArrayLike | None" = None, *, patch_size))]
+    #[pyo3(signature = (diffuse_albedo, specular_albedo, roughness, normal, tangent = None, *, patch_size))]
     fn new(
         py: Python<'_>,
-        diffuse_albedo: &Bound<'_, PyAny>,
-        specular_albedo: &Bound<'_, PyAny>,
-        roughness: &Bound<'_, PyAny>,
-        normal: &Bound<'_, PyAny>,
-        tangent: Option<&Bound<'_, PyAny>>,
+        diffuse_albedo: ArrayLike<'_>,
+        specular_albedo: ArrayLike<'_>,
+        roughness: ArrayLike<'_>,
+        normal: ArrayLike<'_>,
+        tangent: Option<ArrayLike<'_>>,
         patch_size: f64,
     ) -> PyResult<Self> {
         let material = Material {
-            diffuse_albedo: image("diffuse_albedo", diffuse_albedo)?,
-            specular_albedo: image("specular_albedo", specular_albedo)?,
-            roughness: image("roughness", roughness)?,
-            normal: image("normal", normal)?,
-            tangent: tangent.map(|tangent| image("tangent", tangent)).transpose()?,
+            diffuse_albedo: image("diffuse_albedo", &diffuse_albedo)?,
+            specular_albedo: image("specular_albedo", &specular_albedo)?,
+            roughness: image("roughness", &roughness)?,
+            normal: image("normal", &normal)?,
+            tangent: tangent.map(|tangent| image("tangent", &tangent)).transpose()?,
             patch_size,
         };
         // What cannot be computed with is refused here, what is out of range limited.
         let material = detached(py, || Material::from_maps(&material.to_maps()?, patch_size))?;
-        Ok(Self { material: Arc::new(material), report: None, unit: None })
+        Ok(Self { material: Arc::new(material), report: Value::Null, unit: None })
     }
 
     /// Read a material: a folder with a ``material.json``, or maps of another program.
@@ -136,7 +135,7 @@ impl PyMaterial {
         detached(py, || {
             let material = Arc::new(Material::load_with(&path, &options)?);
             let report = if path.join(MATERIAL_JSON).exists() { read_report(&path)? } else { None };
-            Ok(Self { material, report, unit: None })
+            Ok(Self { material, report: report.unwrap_or_default(), unit: None })
         })
     }
 
@@ -168,7 +167,7 @@ impl PyMaterial {
         let formats = [MaterialFormat::Exr, MaterialFormat::Png16, MaterialFormat::Tiff];
         let mut options = SaveOptions::new(choice("format", format, &formats, format_name)?);
         options.unit.clone_from(&self.unit);
-        options.report.clone_from(&self.report);
+        options.report = (!self.report.is_null()).then(|| self.report.clone());
         detached(py, || self.material.save(folder, &options))
     }
 
@@ -205,19 +204,18 @@ impl PyMaterial {
     /// >>> photo = material.render([0, 0, 20], [-5, 5, 18], size=64)
     /// >>> photo.shape, photo.dtype.name
     /// ((64, 64, 3), 'float32')
-    #[pyo3(signature = (camera: "numpy.typing.ArrayLike", light: "numpy.typing.ArrayLike",
-        light_intensity: "numpy.typing.ArrayLike | None" = None, *, size = None))]
+    #[pyo3(signature = (camera, light, light_intensity = None, *, size = None))]
     fn render<'py>(
         &self,
         py: Python<'py>,
-        camera: &Bound<'py, PyAny>,
-        light: &Bound<'py, PyAny>,
-        light_intensity: Option<&Bound<'py, PyAny>>,
+        camera: ArrayLike<'py>,
+        light: ArrayLike<'py>,
+        light_intensity: Option<ArrayLike<'py>>,
         size: Option<i128>,
     ) -> PyResult<ImageArray<'py>> {
-        let (camera, light) = (triple("camera", camera)?, triple("light", light)?);
+        let (camera, light) = (triple("camera", &camera)?, triple("light", &light)?);
         let light_intensity = match light_intensity {
-            Some(light_intensity) => intensities("light_intensity", light_intensity, 1)?[0],
+            Some(light_intensity) => intensities("light_intensity", &light_intensity, 1)?[0],
             None => [std::f64::consts::PI * light.iter().map(|x| x * x).sum::<f64>(); 3],
         };
         let shot = Shot { camera, light, light_intensity };
@@ -281,17 +279,14 @@ impl PyMaterial {
 
     /// What the fit did (settings, stages, losses, errors of the photos, seconds); empty if there was none.
     #[getter]
-    fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        match &self.report {
-            Some(report) => dict(py, report),
-            None => Ok(PyDict::new(py)),
-        }
+    fn report<'py>(&self, py: Python<'py>) -> PyResult<Json<'py>> {
+        Json::new(py, &self.report)
     }
 
     /// What a user should know about capture and fit.
     #[getter]
     fn warnings(&self) -> Vec<&str> {
-        let warnings = self.report.as_ref().and_then(|report| report.get("warnings")?.as_array());
+        let warnings = self.report.get("warnings").and_then(Value::as_array);
         warnings.into_iter().flatten().filter_map(Value::as_str).collect()
     }
 
@@ -314,10 +309,6 @@ fn format_name(format: MaterialFormat) -> &'static str {
         MaterialFormat::Tiff => "tiff",
         _ => "exr",
     }
-}
-
-fn dict<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyDict>> {
-    Ok(py.import("json")?.call_method1("loads", (value.to_string(),))?.cast_into()?)
 }
 
 /// Error of a re-rendered photo, as the literature has it.
@@ -345,9 +336,8 @@ fn dict<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyDict>> {
 /// >>> round(svbrdf_gcn.metrics.photo_rmse(np.full((4, 4, 3), 0.25), np.zeros((4, 4, 3))), 4)
 /// 0.5325
 #[pyfunction]
-#[pyo3(signature = (rendering: "numpy.typing.ArrayLike", photo: "numpy.typing.ArrayLike") -> "float")]
-pub fn photo_rmse(py: Python<'_>, rendering: &Bound<'_, PyAny>, photo: &Bound<'_, PyAny>) -> PyResult<f64> {
-    let (rendering, photo) = (image("rendering", rendering)?, image("photo", photo)?);
+pub fn photo_rmse(py: Python<'_>, rendering: ArrayLike<'_>, photo: ArrayLike<'_>) -> PyResult<f64> {
+    let (rendering, photo) = (image("rendering", &rendering)?, image("photo", &photo)?);
     detached(py, || metrics::photo_rmse(&rendering, &photo))
 }
 
@@ -374,13 +364,12 @@ pub fn photo_rmse(py: Python<'_>, rendering: &Bound<'_, PyAny>, photo: &Bound<'_
 /// >>> svbrdf_gcn.metrics.map_errors(truth, truth)["diffuse"]
 /// {'gamma22': 0.0, 'linear': 0.0}
 #[pyfunction]
-#[pyo3(signature = (material: "Material", truth: "Material") -> "dict[str, typing.Any]")]
 pub fn map_errors<'py>(
     py: Python<'py>,
     material: &Bound<'py, PyMaterial>,
     truth: &Bound<'py, PyMaterial>,
-) -> PyResult<Bound<'py, PyDict>> {
+) -> PyResult<Json<'py>> {
     let (material, truth) = (material.get(), truth.get());
     let errors = detached(py, || MapErrors::between(&material.material, &truth.material))?;
-    dict(py, &serde_json::to_value(errors).map_err(|error| argument("material", error))?)
+    Json::new(py, &serde_json::to_value(errors).map_err(|error| argument("material", error))?)
 }

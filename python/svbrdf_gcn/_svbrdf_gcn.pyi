@@ -1,0 +1,616 @@
+"""
+The compiled part of ``svbrdf_gcn``.
+"""
+
+from _typeshed import SupportsGetItem
+from collections.abc import Callable, Sequence
+from numpy import float32, float64
+from numpy.typing import ArrayLike, NDArray
+from os import PathLike
+from typing import Any, Final, SupportsFloat, SupportsIndex, final
+
+__all__ = ["__version__", "CancelToken", "Capture", "Material", "Model", "Progress", "command_line", "fit_material", "map_errors", "photo_rmse"]
+
+__version__: Final[str]
+
+@final
+class CancelToken:
+    """
+    Stops a fit from any thread.
+
+    A token that was cancelled stays so; take a new one for the next fit.
+
+    Examples
+    --------
+    >>> token = svbrdf_gcn.CancelToken()
+    >>> token.cancel()
+    >>> try:
+    ...     svbrdf_gcn.fit_material("samples/tiles", size=32, cancel=token)
+    ... except svbrdf_gcn.Cancelled:
+    ...     print("stopped")
+    stopped
+    """
+    def __new__(cls, /) -> CancelToken: ...
+    def __repr__(self, /) -> str: ...
+    def cancel(self, /) -> None:
+        """
+        Ask every fit that was given this token to stop; they raise ``Cancelled``.
+
+        Examples
+        --------
+        >>> token = svbrdf_gcn.CancelToken()
+        >>> token.cancel()
+        >>> token.cancelled
+        True
+        """
+    @property
+    def cancelled(self, /) -> bool:
+        """
+        Whether ``cancel`` was called.
+        """
+
+@final
+class Capture:
+    """
+    Photos of one nearly flat sample, and where camera and light stood for each.
+
+    The sample lies centred in the plane z = 0, x to the right, y up, z towards the camera. Positions and `patch_size` share
+    one length unit.
+
+    Parameters
+    ----------
+    photos : array of shape (N, H, W, 3), or a list of N arrays of shape (H, W, 3) or of N paths of image files
+        uint8 and uint16 stand for values from 0 to 1, floats for themselves. Grey photos and photos with alpha (which is
+        ignored) are taken as well. Arrays may have any layout; they are copied.
+    camera_positions : array_like of shape (N, 3)
+        Position of the camera for each photo.
+    patch_size : float
+        Width of the patch that the photos show.
+    light_intensity : float, or array_like of shape (3,) or (N, 3)
+        A white matt patch at distance r from the light has the radiance ``light_intensity / (pi * r**2)``, where 1 is the
+        photos' full value.
+    transfer : {"srgb", "gamma2.2", "linear"}
+        How stored values relate to linear radiance.
+    light_positions : array_like of shape (N, 3), optional
+        Position of the light for each photo; the camera's if not given.
+    white_level : float, optional
+        Stored value from which on floats are saturated. Integers are at their largest value.
+    size : int, optional
+        Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
+    views : sequence of int, optional
+        The photos to take, counted from 0.
+
+    Raises
+    ------
+    ArgumentError
+        For positions that are not in front of the sample, NaN, and other values out of range.
+    ShapeError
+        For arrays of another shape, and photos that differ in size.
+    FormatError
+        For arrays of other types, and files of other formats.
+    OSError
+        For files that cannot be read.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> photos = np.full((2, 4, 6, 3), 128, np.uint8)
+    >>> cameras = [[-3, 0, 20], [3, 0, 20]]
+    >>> svbrdf_gcn.Capture(photos, camera_positions=cameras, patch_size=10, light_intensity=1200, transfer="srgb")
+    <svbrdf_gcn.Capture: 2 photos of 6 x 4 pixels, patch 10 wide, transfer srgb>
+    """
+    def __len__(self, /) -> int: ...
+    def __new__(cls, /, photos: ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None) -> Capture: ...
+    def __repr__(self, /) -> str: ...
+    @property
+    def camera_positions(self, /) -> NDArray[float64]:
+        """
+        Positions of the camera, shape (N, 3).
+        """
+    @property
+    def height(self, /) -> int:
+        """
+        Rows of every photo.
+        """
+    @property
+    def light_intensity(self, /) -> NDArray[float64]:
+        """
+        Intensities of the light, shape (N, 3), in photo units times length squared.
+        """
+    @property
+    def light_positions(self, /) -> NDArray[float64]:
+        """
+        Positions of the light, shape (N, 3).
+        """
+    @property
+    def names(self, /) -> list[str]:
+        """
+        Names of the photos: their files', or ``photos[0]`` and so on.
+        """
+    @staticmethod
+    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, transfer: str | None = None) -> Capture:
+        """
+        Read a capture: its folder or its JSON file.
+
+        ``docs/captures.md`` describes the layouts.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            Folder, ``capture.json``, or JSON file of svbrdf-diff-renderer.
+        size : int, optional
+            Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
+        views : sequence of int, optional
+            The photos to take, counted from 0; no others are opened.
+        transfer : {"srgb", "gamma2.2", "linear"}, optional
+            Replaces what the capture states.
+
+        Returns
+        -------
+        Capture
+
+        Raises
+        ------
+        OSError, ArgumentError, ShapeError, FormatError
+            As the constructor.
+
+        Examples
+        --------
+        >>> svbrdf_gcn.Capture.open("samples/tiles", size=64, views=[0, 4])
+        <svbrdf_gcn.Capture: 2 photos of 64 x 64 pixels, patch 10 wide, transfer srgb>
+        """
+    @property
+    def patch_size(self, /) -> float:
+        """
+        Width of the patch.
+        """
+    @property
+    def photos(self, /) -> list[NDArray[float32]]:
+        """
+        The photos: linear RGB, read-only arrays of shape (H, W, 3).
+        """
+    def select(self, /, views: SupportsGetItem[int, SupportsIndex]) -> Capture:
+        """
+        The capture with only some of its photos.
+
+        Parameters
+        ----------
+        views : sequence of int
+            The photos to keep, counted from 0, in this order.
+
+        Returns
+        -------
+        Capture
+
+        Raises
+        ------
+        ArgumentError
+            If there is none, one is named twice, or one does not exist.
+
+        Examples
+        --------
+        >>> capture = svbrdf_gcn.Capture.open("samples/tiles", size=32)
+        >>> len(capture), len(capture.select([0, 8]))
+        (9, 2)
+        """
+    @property
+    def transfer(self, /) -> str:
+        """
+        The transfer function that the photos were decoded with.
+        """
+    @property
+    def unit(self, /) -> str | None:
+        """
+        Name of the length unit, where the capture states it.
+        """
+    @property
+    def warnings(self, /) -> list[str]:
+        """
+        What a user should know about how the capture was read.
+        """
+    @property
+    def width(self, /) -> int:
+        """
+        Columns of every photo.
+        """
+
+@final
+class Material:
+    """
+    The maps of a material.
+
+    ``fit_material`` and ``Material.load`` make materials; the constructor takes maps of your own, which are copied.
+
+    Parameters
+    ----------
+    diffuse_albedo : ndarray of float, shape (H, W, 3), linear, 0 to 1
+    specular_albedo : ndarray of float, shape (H, W, 3), linear, 0 to 1
+        Reflectance at normal incidence (F0).
+    roughness : ndarray of float, shape (H, W, 1) or (H, W), 0 to 1
+        Perceptual roughness; shape (H, W, 2) along tangent and bitangent of an anisotropic material.
+    normal : ndarray of float, shape (H, W, 3), -1 to 1
+        Unit vectors, +x right, +y up, +z out of the surface.
+    tangent : ndarray of float, shape (H, W, 3), -1 to 1, optional
+        Unit vectors; for anisotropic materials only.
+    patch_size : float
+        Width of the maps in the unit of the positions given to `render`.
+
+    Raises
+    ------
+    ShapeError
+        If the maps differ in size.
+    FormatError
+        If they are not floats.
+    ArgumentError
+        If a value is not finite, or `patch_size` is not above 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> grey, flat = np.full((4, 6, 3), 0.5), np.zeros((4, 6, 3)) + [0, 0, 1]
+    >>> svbrdf_gcn.Material(grey, 0.08 * grey, grey[:, :, :1], flat, patch_size=10)
+    <svbrdf_gcn.Material: 6 x 4 pixels, isotropic, patch 10 wide>
+    """
+    def __new__(cls, /, diffuse_albedo: ArrayLike, specular_albedo: ArrayLike, roughness: ArrayLike, normal: ArrayLike, tangent: ArrayLike | None = None, *, patch_size: SupportsFloat | SupportsIndex) -> Material: ...
+    def __repr__(self, /) -> str: ...
+    def _repr_png_(self, /) -> bytes:
+        """
+        The maps side by side and a view under a light at the upper left, for notebooks.
+        """
+    @property
+    def diffuse_albedo(self, /) -> NDArray[float32]:
+        """
+        Diffuse albedo: linear RGB from 0 to 1, a read-only array of shape (H, W, 3).
+        """
+    @property
+    def height(self, /) -> int:
+        """
+        Rows of the maps.
+        """
+    @staticmethod
+    def load(path: str | PathLike[str], *, encoding: str | None = None, patch_size: SupportsFloat | SupportsIndex | None = None) -> Material:
+        """
+        Read a material: a folder with a ``material.json``, or maps of another program.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            Folder, or, with an `encoding` that has them, image of several maps side by side.
+        encoding : {"deschaintre2018", "deep-inverse-rendering", "materialgan", "svbrdf-diff-renderer"}, optional
+            How maps without a ``material.json`` are stored; ``docs/materials.md`` describes these.
+        patch_size : float, optional
+            Width of maps without a ``material.json``; 1 if not given.
+
+        Returns
+        -------
+        Material
+
+        Raises
+        ------
+        OSError
+            For files that are missing or broken.
+        FormatError
+            For maps whose encoding is not stated.
+        ArgumentError, ShapeError
+            For values out of range, and maps that differ in size.
+
+        Examples
+        --------
+        >>> svbrdf_gcn.Material.load("samples/tiles/truth")
+        <svbrdf_gcn.Material: 256 x 256 pixels, isotropic, patch 10 wide>
+        """
+    @property
+    def normal(self, /) -> NDArray[float32]:
+        """
+        Unit normals, +x right, +y up, +z out of the surface: a read-only array of shape (H, W, 3).
+        """
+    @property
+    def patch_size(self, /) -> float:
+        """
+        Width of the maps in the unit of the capture.
+        """
+    def render(self, /, camera: ArrayLike, light: ArrayLike, light_intensity: ArrayLike | None = None, *, size: SupportsIndex | None = None) -> NDArray[float32]:
+        """
+        Photo of the material under one camera and one light.
+
+        The same forward model the fit uses.
+
+        Parameters
+        ----------
+        camera : array_like of shape (3,)
+            Position of the camera, in the unit of `patch_size`.
+        light : array_like of shape (3,)
+            Position of the light.
+        light_intensity : float or array_like of shape (3,), optional
+            A white matt patch at distance r has the radiance ``light_intensity / (pi * r**2)``. If not given, such a patch is
+            white (1) at the centre.
+        size : int, optional
+            Longer side in pixels; maps are resampled by area, never enlarged.
+
+        Returns
+        -------
+        ndarray of float32, shape (H, W, 3), linear RGB
+
+        Raises
+        ------
+        ArgumentError
+            For values that are not finite, and a negative intensity.
+        ShapeError
+            For positions of another shape.
+
+        Examples
+        --------
+        >>> material = svbrdf_gcn.Material.load("samples/tiles/truth")
+        >>> photo = material.render([0, 0, 20], [-5, 5, 18], size=64)
+        >>> photo.shape, photo.dtype.name
+        ((64, 64, 3), 'float32')
+        """
+    @property
+    def report(self, /) -> dict[str, Any]:
+        """
+        What the fit did (settings, stages, losses, errors of the photos, seconds); empty if there was none.
+        """
+    @property
+    def roughness(self, /) -> NDArray[float32]:
+        """
+        Perceptual roughness from 0 to 1: a read-only array of shape (H, W, 1), or (H, W, 2) if anisotropic.
+        """
+    def save(self, /, folder: str | PathLike[str], *, format: str = "exr") -> None:
+        """
+        Write the maps and ``material.json`` to a folder, which is made if it is not there.
+
+        The files are those of the command line; ``docs/materials.md`` describes them. They appear whole or not at all.
+
+        Parameters
+        ----------
+        folder : str or os.PathLike
+        format : {"exr", "png16", "tiff"}
+            OpenEXR with half floats, PNG with 16 bits, or TIFF with single floats.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> material = svbrdf_gcn.Material.load("samples/tiles/truth")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     material.save(folder, format="tiff")
+        ...     svbrdf_gcn.Material.load(folder)
+        <svbrdf_gcn.Material: 256 x 256 pixels, isotropic, patch 10 wide>
+        """
+    @property
+    def specular_albedo(self, /) -> NDArray[float32]:
+        """
+        Specular albedo (reflectance at normal incidence, F0): linear RGB from 0 to 1, a read-only array of shape (H, W, 3).
+        """
+    @property
+    def tangent(self, /) -> NDArray[float32] | None:
+        """
+        Unit tangents of an anisotropic material, a read-only array of shape (H, W, 3); else None.
+        """
+    @property
+    def warnings(self, /) -> list[str]:
+        """
+        What a user should know about capture and fit.
+        """
+    @property
+    def width(self, /) -> int:
+        """
+        Columns of the maps.
+        """
+
+@final
+class Model:
+    """
+    Trained weights.
+
+    Immutable: load them once and give them to as many fits as you like, from any thread.
+
+    Examples
+    --------
+    >>> svbrdf_gcn.Model.load("no-such-file.safetensors")
+    Traceback (most recent call last):
+    FileNotFoundError: [Errno 2] No such file or directory: 'no-such-file.safetensors'
+    """
+    def __repr__(self, /) -> str: ...
+    @property
+    def license(self, /) -> str:
+        """
+        The licence of the weights.
+        """
+    @staticmethod
+    def load(path: str | PathLike[str]) -> Model:
+        """
+        Read a weights file.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            A safetensors file; ``docs/weights.md`` tells where weights come from.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read.
+        WeightsError
+            If it is damaged, of another version or of another model.
+
+        Examples
+        --------
+        >>> try:
+        ...     svbrdf_gcn.Model.load("README.md")
+        ... except svbrdf_gcn.WeightsError as error:
+        ...     print("not a weights file")
+        not a weights file
+        """
+    @property
+    def photos(self, /) -> list[int]:
+        """
+        The numbers of photos that there is a network for; a fit takes the one for the most photos it has.
+        """
+
+@final
+class Progress:
+    """
+    Where a fit stands; what the ``progress`` callback is given.
+
+    Examples
+    --------
+    >>> seen = []
+    >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, direct_steps=5, progress=seen.append)
+    >>> seen[-1].stage, seen[-1].step, seen[-1].steps
+    ('direct', 5, 5)
+    """
+    def __repr__(self, /) -> str: ...
+    @property
+    def loss(self, /) -> float | None:
+        """
+        The loss before the last step, where the stage has one.
+        """
+    @property
+    def stage(self, /) -> str:
+        """
+        The part of the fit that runs: ``encode``, ``latent``, ``adapters`` or ``direct``.
+        """
+    @property
+    def step(self, /) -> int:
+        """
+        Steps of the stage that are done.
+        """
+    @property
+    def steps(self, /) -> int:
+        """
+        Steps that the stage takes at most.
+        """
+
+def command_line(arguments: SupportsGetItem[int, str]) -> int:
+    """
+    Run the command line with `arguments`, the program's name first, and return its exit code.
+
+    It takes over SIGINT: meant for a process of its own.
+    """
+
+def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = "balanced", method: str = "auto", weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = 0, threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
+    """
+    Recover the material that photos show.
+
+    Other Python threads run meanwhile. Ctrl-C stops the fit with ``KeyboardInterrupt``.
+
+    Parameters
+    ----------
+    capture_or_photos : Capture, path of a capture, array of shape (N, H, W, 3), or list of arrays or image paths
+        A ``Capture``, or a path that ``Capture.open`` takes, brings its own positions; photos as arrays or image paths need
+        `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
+    camera_positions, light_positions, patch_size, light_intensity, white_level : optional
+        See ``Capture``.
+    transfer, size, views : optional
+        See ``Capture`` and ``Capture.open``.
+    preset : {"draft", "balanced", "high"}
+        How much time to spend.
+    method : {"auto", "network", "direct"}
+        How to get from photos to maps; auto: network where there are weights, else direct.
+    weights : Model, str or os.PathLike, optional
+        Trained weights.
+    latent_steps, adapter_steps, direct_steps : int, optional
+        Steps on the latent code, the adapters, the maps themselves, instead of the preset's.
+    max_memory : int, optional
+        Most bytes the run may use; three quarters of the free memory if not given.
+    seed : int
+        Seed of everything random. The same seed and thread count give the same bits on the same processor.
+    threads : int, optional
+        Threads; all if not given.
+    early_stop : bool, optional
+        Stop a stage when its loss has flattened; on if not given.
+    progress : callable, optional
+        Called on this thread with a ``Progress`` at most every 50 ms, and at the end of a stage. What it raises stops the
+        fit and comes out unchanged; what it returns is not looked at.
+    cancel : CancelToken, optional
+        Stops the fit from any thread.
+
+    Returns
+    -------
+    Material
+        The maps; its `report` tells how they came about.
+
+    Raises
+    ------
+    ArgumentError
+        For options out of range, and arguments that are missing or given twice.
+    ShapeError, FormatError, OSError
+        For photos that cannot be read; see ``Capture``.
+    WeightsError
+        For weights that are broken, or need more photos.
+    MemoryError
+        If the run would need more than `max_memory`, before anything is computed.
+    NonFiniteError
+        If the loss is not finite from the start.
+    Cancelled
+        If `cancel` was cancelled.
+
+    Examples
+    --------
+    >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, preset="draft", seed=7)
+    >>> material.roughness.shape, material.report["method"]
+    ((32, 32, 1), 'direct')
+    """
+
+def map_errors(material: Material, truth: Material) -> dict[str, Any]:
+    """
+    Errors of a material's maps against the true ones.
+
+    Parameters
+    ----------
+    material, truth : Material
+
+    Returns
+    -------
+    dict
+        ``diffuse``, ``specular`` and ``roughness``: RMSE of the ``linear`` and of the ``gamma22`` encoded values; ``normal``: RMSE
+        of (n + 1) / 2; ``normal_angle_deg``: mean angle between the normals.
+
+    Raises
+    ------
+    ShapeError
+        If the maps differ in size.
+
+    Examples
+    --------
+    >>> truth = svbrdf_gcn.Material.load("samples/tiles/truth")
+    >>> svbrdf_gcn.metrics.map_errors(truth, truth)["diffuse"]
+    {'gamma22': 0.0, 'linear': 0.0}
+    """
+
+def photo_rmse(rendering: ArrayLike, photo: ArrayLike) -> float:
+    """
+    Error of a re-rendered photo, as the literature has it.
+
+    Root mean square over all values, encoded with gamma 2.2 and clamped to the range from 0 to 1.
+
+    Parameters
+    ----------
+    rendering, photo : ndarray of float, shape (H, W, 3), linear RGB
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ShapeError
+        If the shapes differ.
+    FormatError
+        If the arrays are not floats.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> round(svbrdf_gcn.metrics.photo_rmse(np.full((4, 4, 3), 0.25), np.zeros((4, 4, 3))), 4)
+    0.5325
+    """
