@@ -1,0 +1,79 @@
+"""Training configurations: TOML files, every setting with its default here."""
+
+import copy
+import tomllib
+
+import model
+
+DEFAULTS = {
+    "seed": 1,
+    # Length of the whole training, over any number of calls: steps, or seconds of training if steps is 0.
+    "steps": 0,
+    "seconds": 1440,
+    "data": {
+        "pack": "data/materials.zip",
+        # Share of procedural materials in a batch, and the pool they come from.
+        "procedural": 0.45,
+        "groups": 56,
+        "per_group": 6,
+        "refresh": 2,
+        "size": 320,
+    },
+    # How often a batch has 1, 2, ... 9 photos, relatively.
+    "photos": [3, 2, 2, 4, 2, 1.5, 2, 1.5, 1],
+    # What part of the training runs with which crops; the last size is the model's window.
+    "phase": [{"share": 1.0, "size": 128, "batch": 32}],
+    "model": {key: value for key, value in model.DEFAULT.items() if key != "window"},
+    "optimiser": {"rate": 1e-3, "final_rate": 1e-6, "warmup": 0.02, "decay": 1e-4, "betas": [0.9, 0.95], "clip": 1.0, "average": 0.999},
+    # Weights of the losses: maps and renderings as in the paper, and certainty.
+    "loss": {"maps": 10.0, "rendering": 1.0, "views": 9, "certainty": 0.1},
+    "validation": {"minutes": 6.0, "size": 256, "photos": [1, 4, 8], "views": 20},
+    "log_steps": 50,
+    "checkpoint_minutes": 4.0,
+    # Memory layout of the network on a GPU.
+    "channels_last": True,
+    # Compile the part of the network behind the pooling (a minute at the start, on a GPU).
+    "compile": False,
+}
+
+
+def merged(defaults, given, place=""):
+    out = copy.deepcopy(defaults)
+    for key, value in given.items():
+        if key not in defaults:
+            raise ValueError(f"{place}{key}: there is no such setting")
+        default = defaults[key]
+        if isinstance(default, dict):
+            value = merged(default, value, f"{place}{key}.")
+        elif not isinstance(value, (int, float) if isinstance(default, float) else type(default)):
+            raise ValueError(f"{place}{key}: expected a value like {default!r}, got {value!r}")
+        out[key] = value
+    return out
+
+
+def load(path, changes=()):
+    """The configuration in `path`, with `changes` such as `optimiser.rate=2e-4`."""
+    with open(path, "rb") as file:
+        given = tomllib.load(file)
+    for change in changes:
+        key, _, value = change.partition("=")
+        *tables, last = key.split(".")
+        table = given
+        for name in tables:
+            table = table.setdefault(name, {})
+        table[last] = tomllib.loads(f"value = {value}")["value"]
+    config = merged(DEFAULTS, given)
+    total = sum(phase["share"] for phase in config["phase"])
+    if abs(total - 1) > 1e-6:
+        raise ValueError(f"phase.share: expected a sum of 1, got {total}")
+    config["model"]["window"] = config["phase"][-1]["size"]
+    return config
+
+
+def phase_at(config, progress):
+    """The phase at `progress` from 0 to 1."""
+    for phase in config["phase"]:
+        progress -= phase["share"]
+        if progress < 0:
+            return phase
+    return config["phase"][-1]
