@@ -2,6 +2,7 @@
 
 CARGO ?= cargo
 PYTHON ?= python3
+TRAINING_PYTHON ?= $(PYTHON)
 VENV := .venv
 BIN := target/release/svbrdf-gcn
 # The Cargo profile of the wheel: dev compiles faster, and shares what the tests compiled.
@@ -12,7 +13,7 @@ ifneq ($(wildcard ../shared/REFERENCE.md),)
 export SVBRDF_GCN_REQUIRE_SHARED := 1
 endif
 
-.PHONY: help build demo test setup lint unit docs-test python-build python-test stubs wheel bench fuzz sample clean
+.PHONY: help build demo test setup lint unit docs-test python-build python-test training-test stubs wheel bench fuzz sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -63,6 +64,10 @@ wheel: setup ## the Python package as a wheel in dist (PROFILE=dev for a quick o
 python-test: ## Python package and tools
 	$(VENV)/bin/python -m pytest -q tests/python
 	SVBRDF_GCN_NUMPY=1.26 $(VENV)/numpy1/bin/python -m pytest -q tests/python/test_package.py
+
+training-test: ## the trainer; TRAINING_PYTHON is a Python that has PyTorch, numpy and Pillow (make test leaves this out)
+	@[ -x $(VENV)/training/bin/python ] || { $(TRAINING_PYTHON) -m venv --system-site-packages $(VENV)/training && $(VENV)/training/bin/pip install --quiet --disable-pip-version-check pytest; }
+	$(VENV)/training/bin/python -m pytest -q -rs tests/training
 
 bench: ## benchmarks; figures are in docs/performance.md
 	$(CARGO) bench -p svbrdf-gcn

@@ -92,7 +92,7 @@ def rebump(maps, dice):
     factor = torch.where(dice.chance(0.25), torch.exp(dice.uniform(-3.2, -0.6)) / rms, factor).clamp(0.1, 8.0)
     factor = torch.where(dice.chance(0.7), factor, dice.uniform(1, 1)).clamp_max(0.9 / rms)
     height, width = maps.shape[-2:]
-    wave = dice.smooth(3, height, width, 2) * dice.uniform(0, 0.12) * dice.chance(0.3)
+    wave = dice.smooth(3, height, width, 2) * dice.uniform(0, 0.08) * dice.chance(0.3)
     x, y = ((slope * factor).clamp(-3, 3) + wave[:, i : i + 1] for i, slope in enumerate((x, y)))
     return join(diffuse, normal_from_slopes(x, y), roughness, specular)
 

@@ -38,21 +38,17 @@ class Capture:
     maps: torch.Tensor
 
 
-def windows(rng, count, height, width, whole):
+def windows(rng, count, height, width, whole, device):
     """Pixel positions (B, 3, H, W) of the part of the capture that is seen: all of it with probability `whole`, else a tile."""
-    positions = []
-    for _ in range(count):
-        share = 1.0
-        if torch.rand((), generator=rng) >= whole:
-            share = math.exp(float(torch.rand((), generator=rng)) * math.log(0.1))
-        room = 1 - share
-        centre = [(2 * float(value) - 1) * room for value in torch.rand(2, generator=rng)]
-        positions.append(pixel_positions(height, width, centre, 2 * share))
-    return torch.stack(positions)
+    share = torch.exp(torch.rand(count, 1, generator=rng) * math.log(0.1))
+    share = torch.where(torch.rand(count, 1, generator=rng) < whole, torch.ones(()), share)
+    centre = (2 * torch.rand(count, 2, generator=rng) - 1) * (1 - share)
+    centre = torch.cat([centre, torch.zeros(count, 1)], 1).to(device)[:, :, None, None]
+    return pixel_positions(height, width, device=device) * share.to(device)[:, :, None, None] + centre
 
 
-def draw_geometry(rng, count, photos, height, width, family=None, whole=0.35, collocated=0.75):
-    """Stated geometry of `count` captures of `photos` photos, on the CPU.
+def draw_geometry(rng, count, photos, height, width, device, family=None, whole=0.35, collocated=0.75):
+    """Stated geometry of `count` captures of `photos` photos.
 
     Family `near`: distance 2-3, offsets up to 1.2; `real`: distance 3-9, offsets up to 2.4 and 0.45 of the distance; None: both, one to two.
     With probability `collocated` lamp and lens are one (or a few hundredths of the distance apart), else the light stands elsewhere.
@@ -85,11 +81,8 @@ def draw_geometry(rng, count, photos, height, width, family=None, whole=0.35, co
     irradiance = light[..., 2] / distance2.sqrt() / distance2
     intensity = white / irradiance.mean(1) * math.pi
     intensity = intensity[:, None, None].expand(count, photos, 3).contiguous()
-    return Geometry(camera, light, intensity, windows(rng, count, height, width, whole))
-
-
-def to(geometry, device):
-    return Geometry(*(getattr(geometry, name).to(device) for name in ("camera", "light", "intensity", "position")))
+    position = windows(rng, count, height, width, whole, device)
+    return Geometry(camera.to(device), light.to(device), intensity.to(device), position)
 
 
 def tilted(maps, rng):

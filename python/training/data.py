@@ -41,5 +41,5 @@ class Data:
         rng, noise_rng = self.generators(step)
         photos = 1 + int(torch.multinomial(torch.tensor(self.config["photos"], dtype=torch.float), 1, generator=rng))
         maps = self.materials(step, count, size, rng)
-        geometry = camera.draw_geometry(rng, count, photos, size, size)
-        return camera.photograph(maps, camera.to(geometry, self.device), rng, noise_rng), rng
+        geometry = camera.draw_geometry(rng, count, photos, size, size, self.device)
+        return camera.photograph(maps, geometry, rng, noise_rng), rng

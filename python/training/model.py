@@ -119,7 +119,7 @@ class Round(nn.Module):
 
         query, key, value = split(self.query(x)), split(self.key(x)), split(self.value(x))
         # (B, N, N, heads, H, W), receivers before senders.
-        logits = (query[:, :, None] * key[:, None]).float().sum(4) / self.dim**0.5
+        logits = (query[:, :, None] * key[:, None]).sum(4, dtype=torch.promote_types(query.dtype, torch.float32)) / self.dim**0.5
         bias = sum(likeness[:, k, :, :, None] * self.pair[:, k, None, None] for k in range(2))
         loop = torch.eye(count, device=x.device)[:, :, None, None, None] * self.loop[:, None, None]
         weights = torch.softmax(logits + bias + loop, 2).to(value.dtype)
@@ -186,11 +186,15 @@ class Model(nn.Module):
         """The window of channel attention in pixels of a level, 0 the full resolution."""
         return None if window is None else max(window >> level, 1)
 
+    def laid(self, x):
+        """`x` in the memory layout that the network runs in."""
+        return x.contiguous(memory_format=self.memory_format)
+
     def fuse(self, inputs, window):
         """Pooled features of the photos at full and at half resolution."""
         batch, count = inputs.shape[:2]
         directions = inputs[:, :, 7:13]
-        x = self.intro(inputs.flatten(0, 1).contiguous(memory_format=self.memory_format))
+        x = self.intro(self.laid(inputs.flatten(0, 1)))
         for block in self.stem:
             x = block(x, self.at(0, window))
         share = torch.full_like(x[:batch, :1], 1 / count)
@@ -207,7 +211,7 @@ class Model(nn.Module):
     def restore(self, fine, coarse, window):
         """Raw maps and the logarithm of their standard deviations from pooled features."""
         levels = len(self.encoders)
-        x = self.entry(coarse)
+        x = self.entry(self.laid(coarse))
         skips = []
         for level, (encoder, down) in enumerate(zip(self.encoders, self.downs)):
             for block in encoder:
@@ -217,10 +221,10 @@ class Model(nn.Module):
         for block in self.middle_blks:
             x = block(x, self.at(levels + 1, window))
         for level, up, decoder in zip(range(levels - 1, -1, -1), self.ups, self.decoders):
-            x = functional.pixel_shuffle(up[0](x), 2) + skips[level]
+            x = self.laid(functional.pixel_shuffle(up[0](x), 2)) + skips[level]
             for block in decoder:
                 x = block(x, self.at(level + 1, window))
-        x = functional.pixel_shuffle(self.unfold(x), 2) + self.skip(fine)
+        x = self.laid(functional.pixel_shuffle(self.unfold(x), 2)) + self.skip(self.laid(fine))
         # The last steps in full precision: 8 bits of mantissa are too few for maps.
         with torch.autocast(x.device.type, enabled=False):
             x = x.to(self.ending.weight.dtype)

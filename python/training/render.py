@@ -10,11 +10,12 @@ from maps import DIFFUSE, GAMMA, NORMAL, ROUGHNESS, SPECULAR, unit
 ROUGHNESS_MIN = 1e-3
 
 
-def pixel_positions(height, width, centre=(0.0, 0.0), patch_size=2.0, device=None, dtype=torch.float32):
-    """Positions (3, H, W) of the pixels of a patch `patch_size` wide around `centre` in the plane z = 0; row 0 is at +y."""
-    x = ((torch.arange(width, device=device, dtype=dtype) + 0.5) / width - 0.5) * patch_size + centre[0]
-    y = -((torch.arange(height, device=device, dtype=dtype) + 0.5) / height - 0.5) * patch_size * height / width + centre[1]
-    return torch.stack([x.expand(height, width), y[:, None].expand(height, width), torch.zeros(height, width, device=device, dtype=dtype)])
+def pixel_positions(height, width, patch_size=2.0, device=None, dtype=torch.float32):
+    """Positions (3, H, W) of the pixels of a patch `patch_size` wide in the plane z = 0; row 0 is at +y."""
+    x = ((torch.arange(width, device=device, dtype=dtype) + 0.5) / width - 0.5) * patch_size
+    y = -((torch.arange(height, device=device, dtype=dtype) + 0.5) / height - 0.5) * patch_size * height / width
+    x, y = x.expand(height, width), y[:, None].expand(height, width)
+    return torch.stack([x, y, torch.zeros_like(x)])
 
 
 def directions(position, camera, light):

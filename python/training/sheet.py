@@ -83,8 +83,8 @@ def main(arguments=None):
             size = options.size or config["phase"][0]["size"]
             rng, noise_rng = data.generators(options.step)
             maps = data.materials(options.step, options.rows, size, rng)
-            geometry = camera.draw_geometry(rng, options.rows, options.photos, size, size)
-            shots = camera.photograph(maps, camera.to(geometry, device), rng, noise_rng)
+            geometry = camera.draw_geometry(rng, options.rows, options.photos, size, size, device)
+            shots = camera.photograph(maps, geometry, rng, noise_rng)
             rows = torch.cat([pictures(shots.maps), shots.photos], 1)
             return write(options.output, rows)
         bank = open_pack(config["data"]["pack"], validation=True)[1]

@@ -24,8 +24,7 @@ def capture(maps, family, photos, seed=SEED):
     """A capture of each material: `near` by a perfect camera above a level sample, `real` with every defect and tilt."""
     rng, noise_rng = torch.Generator().manual_seed(seed), torch.Generator(maps.device).manual_seed(seed + 1)
     height, width = maps.shape[-2:]
-    geometry = camera.draw_geometry(rng, len(maps), photos, height, width, family, whole=1.0, collocated=1.0)
-    geometry = camera.to(geometry, maps.device)
+    geometry = camera.draw_geometry(rng, len(maps), photos, height, width, maps.device, family, whole=1.0, collocated=1.0)
     if family == "near":
         return camera.Capture(*camera.clean_photos(maps, geometry), geometry, maps)
     return camera.photograph(maps, geometry, rng, noise_rng)
@@ -45,8 +44,8 @@ def scores(predicted, truth, raw, log_sigma, views):
     cosine = (predicted[:, NORMAL] * truth[:, NORMAL]).sum(1).clamp(-1, 1)
     out["N_deg"] = float(torch.rad2deg(torch.acos(cosine)).mean())
     # The same positions for every material: above the patch, light and camera together.
-    geometry = camera.draw_geometry(torch.Generator().manual_seed(SEED + 7), 1, views, 8, 8, "near", whole=1.0, collocated=1.0)
-    geometry = camera.to(geometry, truth.device)
+    rng = torch.Generator().manual_seed(SEED + 7)
+    geometry = camera.draw_geometry(rng, 1, views, 8, 8, truth.device, "near", whole=1.0, collocated=1.0)
     position = pixel_positions(*truth.shape[-2:], device=truth.device)[None]
     errors = []
     for a, b in zip(predicted, truth):

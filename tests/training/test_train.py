@@ -1,0 +1,105 @@
+"""Training goes on exactly where it stopped; exports hold what was trained."""
+
+import json
+
+import pytest
+import torch
+
+import configuration
+import export
+import plot
+import store
+import train
+from data import Data
+from model import Model
+
+
+def run(trainer, data, steps):
+    return [float(trainer.train_step(data)["loss"]) for _ in range(steps)]
+
+
+def test_resumed_training_gives_the_same_bits(config_file, tmp_path):
+    config = configuration.load(config_file)
+    device = torch.device("cpu")
+    whole = train.Trainer(config, device)
+    expected = run(whole, Data(config, device), 6)
+    first = train.Trainer(config, device)
+    assert run(first, Data(config, device), 4) == expected[:4]
+    first.save(tmp_path)
+    second = train.Trainer(config, device)
+    second.load(tmp_path)
+    assert run(second, Data(config, device), 2) == expected[4:]
+    for a, b in ((whole.named, second.named), (whole.average, second.average)):
+        assert all(torch.equal(a[name], b[name]) for name in a)
+    assert len(set(expected)) == 6
+
+
+def test_a_call_trains_logs_validates_and_exports(config_file, packed, tmp_path, capsys):
+    folder = tmp_path / "run"
+    train.main([str(config_file), "-o", str(folder), "--device", "cpu"])
+    assert "within sigma" in capsys.readouterr().out
+    entries = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    assert [entry["step"] for entry in entries if "loss" in entry] == [1, 2, 3, 4, 5, 6]
+    row = entries[-1]["validation"]["near 2"]
+    assert {"D", "N", "R", "S", "rendering", "cover_normal"} <= set(row) and 0 < row["rendering"] < 1
+
+    # A second call has nothing left to do.
+    train.main([str(config_file), "-o", str(folder), "--device", "cpu"])
+    state = json.loads((folder / "checkpoint" / "state.json").read_text())
+    assert state["step"] == 6
+    plot.main([str(folder), "-o", str(tmp_path / "log.png")])
+    assert (tmp_path / "log.png").stat().st_size > 10_000
+
+    average, _ = store.load(folder / "checkpoint" / "average.safetensors")
+    for flag, dtype in (([], torch.float16), (["--f32"], torch.float32)):
+        export.main([str(folder), "-o", str(tmp_path / "w.safetensors"), *flag])
+        tensors, metadata = store.load(tmp_path / "w.safetensors")
+        assert all(torch.equal(tensors[name], average[name].to(dtype)) for name in average) and len(tensors) == len(average)
+        architecture = json.loads(metadata["architecture"])
+        network = Model({key: architecture[key] for key in state["config"]["model"]})
+        network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
+        assert json.loads(metadata["data"])["materials"] == 6 and metadata["roughness"] == "perceptual"
+        assert json.loads(metadata["training"])["steps"] == 6
+
+
+def test_time_ends_a_call_with_a_checkpoint(config_file, tmp_path):
+    train.main([str(config_file), "-o", str(tmp_path / "run"), "--device", "cpu", "--seconds", "0", "--set", "steps=1000000"])
+    assert json.loads((tmp_path / "run" / "checkpoint" / "state.json").read_text())["step"] == 0
+
+
+def test_without_moments_the_optimiser_starts_afresh(config_file, tmp_path, capsys):
+    config = configuration.load(config_file)
+    trainer = train.Trainer(config, torch.device("cpu"))
+    trainer.step = 3
+    trainer.save(tmp_path)
+    (tmp_path / "checkpoint" / "moment1.safetensors").unlink()
+    other = train.Trainer(config, torch.device("cpu"))
+    other.load(tmp_path)
+    assert other.step == 3 and not other.optimiser.state and "afresh" in capsys.readouterr().out
+
+
+def test_the_rate_rises_and_falls(config_file):
+    config = configuration.load(config_file, ["steps=100", "optimiser.warmup=0.1"])
+    trainer = train.Trainer(config, torch.device("cpu"))
+    rates = []
+    for trainer.step in range(101):
+        rates.append(trainer.rate())
+    assert rates.index(max(rates)) == 10 and abs(max(rates) - 1e-3) < 1e-5
+    assert rates[0] < 1e-5 and abs(rates[-1] - 1e-6) < 1e-9
+    assert configuration.phase_at(config, 0.49)["size"] == 24 and configuration.phase_at(config, 0.51)["size"] == 32
+    assert config["model"]["window"] == 32
+
+
+@pytest.mark.parametrize("change", ["stepps=3", "data.grups=2", 'seed="one"', "phase=[{share=0.5, size=8, batch=1}]"])
+def test_wrong_settings_are_errors(config_file, change):
+    with pytest.raises(ValueError, match="stepps|data.grups|seed|phase"):
+        configuration.load(config_file, [change])
+
+
+@pytest.mark.parametrize("name", ["default", "smoke"])
+def test_the_committed_configurations_are_sound(name):
+    path = configuration.__file__.replace("configuration.py", f"{name}.toml")
+    config = configuration.load(path)
+    model = Model(config["model"])
+    grain = 2 ** (len(model.encoders) + 1)
+    assert all(phase["size"] % grain == 0 for phase in config["phase"])
