@@ -4,15 +4,16 @@ import math
 import zipfile
 
 import pytest
-import torch
 
-import augment
-import camera
-import library as bank
-import pack
-import procedural
-import render
-from maps import join, unit
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: the trainer is not tested; see docs/training.md")
+
+import augment  # noqa: E402
+import camera  # noqa: E402
+import library as bank  # noqa: E402
+import pack  # noqa: E402
+import procedural  # noqa: E402
+import render  # noqa: E402
+from maps import join, unit  # noqa: E402
 
 
 def is_material(maps):

@@ -3,12 +3,13 @@
 from pathlib import Path
 
 import pytest
-import torch
 
-import fixture
-import model
-import store
-from conftest import TINY
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: the trainer is not tested; see docs/training.md")
+
+import fixture  # noqa: E402
+import model  # noqa: E402
+import store  # noqa: E402
+from conftest import TINY  # noqa: E402
 
 FIXTURES = Path(__file__).resolve().parents[1] / "fixtures" / "default"
 CONFIG = {**model.DEFAULT, **TINY["model"], "window": 24}

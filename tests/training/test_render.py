@@ -4,12 +4,13 @@ import math
 from pathlib import Path
 
 import pytest
-import torch
 
-import camera
-import render
-import store
-from maps import decode_maps, encode_maps, join
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: the trainer is not tested; see docs/training.md")
+
+import camera  # noqa: E402
+import render  # noqa: E402
+import store  # noqa: E402
+from maps import decode_maps, encode_maps, join  # noqa: E402
 
 FIXTURES = Path(__file__).resolve().parents[1] / "fixtures"
 

@@ -3,15 +3,16 @@
 import json
 
 import pytest
-import torch
 
-import configuration
-import export
-import plot
-import store
-import train
-from data import Data
-from model import Model
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: the trainer is not tested; see docs/training.md")
+
+import configuration  # noqa: E402
+import export  # noqa: E402
+import plot  # noqa: E402
+import store  # noqa: E402
+import train  # noqa: E402
+from data import Data  # noqa: E402
+from model import Model  # noqa: E402
 
 
 def run(trainer, data, steps):
