@@ -1,6 +1,8 @@
-//! Transfer functions between stored pixel values and linear radiance.
+//! Transfer functions between stored pixel values and linear radiance, and the primaries of linear values.
 
 use serde::{Deserialize, Serialize};
+
+use crate::image::Image;
 
 /// How the pixel values of a photo file relate to linear radiance.
 ///
@@ -54,9 +56,81 @@ impl Transfer {
     }
 }
 
+/// The primaries and white point of linear RGB values in files.
+///
+/// Everything is computed in linear Rec. 709: photos (and their light) are converted when they are read, albedos when they are written. Rec. 709
+/// lies within ACEScg, so that albedos in [0, 1] stay in [0, 1] when written; what is read may come out below 0 or above 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum ColorSpace {
+    /// Rec. 709 primaries, white D65: those of sRGB, of most cameras' pictures and of the captures of the literature.
+    #[default]
+    Rec709,
+    /// ACEScg: AP1 primaries, the ACES white (about D60).
+    AcesCg,
+}
+
+impl ColorSpace {
+    /// The name used on the command line and in every file: `rec709` or `acescg`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rec709 => "rec709",
+            Self::AcesCg => "acescg",
+        }
+    }
+
+    /// The inverse of [`ColorSpace::name`].
+    pub fn from_name(name: &str) -> Option<Self> {
+        [Self::Rec709, Self::AcesCg].into_iter().find(|space| space.name() == name)
+    }
+
+    /// The matrix that takes a linear RGB column vector of this space to `target`, white to white.
+    ///
+    /// # Source
+    /// Rec. 709: ITU-R BT.709-6, items 1.3 and 1.4. AP1: SMPTE ST 2065-1 and S-2014-004, white x = 0.32168, y = 0.33767. Between the whites the
+    /// Bradford adaptation (linear, complete). A test derives the numbers from these.
+    pub fn matrix_to(self, target: Self) -> [[f64; 3]; 3] {
+        match (self, target) {
+            (Self::AcesCg, Self::Rec709) => ACESCG_TO_REC709,
+            (Self::Rec709, Self::AcesCg) => REC709_TO_ACESCG,
+            (Self::Rec709, Self::Rec709) | (Self::AcesCg, Self::AcesCg) => IDENTITY,
+        }
+    }
+
+    /// Linear RGB of this space as linear RGB of `target`; not limited to any range.
+    pub fn convert(self, target: Self, rgb: [f64; 3]) -> [f64; 3] {
+        self.matrix_to(target).map(|row| row[0] * rgb[0] + row[1] * rgb[1] + row[2] * rgb[2])
+    }
+
+    /// [`ColorSpace::convert`] for every pixel of an RGB image; other images are left as they are.
+    pub fn convert_image(self, target: Self, image: &mut Image) {
+        if self == target || image.channels() != 3 {
+            return;
+        }
+        for pixel in image.data_mut().as_chunks_mut().0 {
+            *pixel = self.convert(target, pixel.map(f64::from)).map(|value| value as f32);
+        }
+    }
+}
+
+const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+const ACESCG_TO_REC709: [[f64; 3]; 3] = [
+    [1.705_050_992_657_983_3, -0.621_792_120_657_004_7, -0.083_258_872_000_978_67],
+    [-0.130_256_417_507_043_47, 1.140_804_736_575_401_5, -0.010_548_319_068_358_007],
+    [-0.024_003_356_804_618_126, -0.128_968_976_064_970_63, 1.152_972_332_869_588_7],
+];
+
+const REC709_TO_ACESCG: [[f64; 3]; 3] = [
+    [0.613_097_402_401_187_6, 0.339_523_146_184_105_7, 0.047_379_451_414_706_68],
+    [0.070_193_722_469_581_73, 0.916_353_879_057_344_1, 0.013_452_398_473_074_1],
+    [0.020_615_592_882_226_974, 0.109_569_772_938_135_48, 0.869_814_634_179_637_6],
+];
+
 #[cfg(test)]
 mod tests {
-    use super::Transfer;
+    use super::{ColorSpace, IDENTITY, Transfer};
 
     #[test]
     fn known_values() {
@@ -74,6 +148,71 @@ mod tests {
                 assert!((back - linear).abs() < 1e-5 * linear.max(0.1), "{transfer:?} {linear} {back}");
             }
             assert_eq!(Transfer::from_name(transfer.name()), Some(transfer));
+        }
+    }
+
+    type Matrix = [[f64; 3]; 3];
+
+    fn product(a: &Matrix, b: &Matrix) -> Matrix {
+        std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
+    }
+
+    fn apply(a: &Matrix, v: [f64; 3]) -> [f64; 3] {
+        a.map(|row| row.iter().zip(v).map(|(a, v)| a * v).sum())
+    }
+
+    /// By cofactors.
+    fn inverse(m: &Matrix) -> Matrix {
+        let minor = |i: usize, j: usize| {
+            let (a, b, c, d) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
+            m[a][c] * m[b][d] - m[a][d] * m[b][c]
+        };
+        let determinant: f64 = (0..3).map(|j| m[0][j] * minor(0, j)).sum();
+        std::array::from_fn(|i| std::array::from_fn(|j| minor(j, i) / determinant))
+    }
+
+    fn xyz([x, y]: [f64; 2]) -> [f64; 3] {
+        [x / y, 1.0, (1.0 - x - y) / y]
+    }
+
+    /// RGB to XYZ: columns are the primaries, scaled so that RGB (1, 1, 1) is the white.
+    fn to_xyz(primaries: [[f64; 2]; 3], white: [f64; 2]) -> Matrix {
+        let columns = primaries.map(xyz);
+        let unscaled = std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i]));
+        let scale = apply(&inverse(&unscaled), xyz(white));
+        std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i] * scale[j]))
+    }
+
+    #[test]
+    fn matrices_follow_from_primaries_and_whites() {
+        let (d65, d60) = ([0.3127, 0.3290], [0.32168, 0.33767]);
+        let rec709 = to_xyz([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]], d65);
+        let ap1 = to_xyz([[0.713, 0.293], [0.165, 0.830], [0.128, 0.044]], d60);
+        let bradford = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
+        let (from, to) = (apply(&bradford, xyz(d60)), apply(&bradford, xyz(d65)));
+        let gains = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { to[i] / from[i] } else { 0.0 }));
+        let adaptation = product(&inverse(&bradford), &product(&gains, &bradford));
+        let expected = product(&inverse(&rec709), &product(&adaptation, &ap1));
+        let close =
+            |a: &Matrix, b: &Matrix| a.iter().flatten().zip(b.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-14);
+        assert!(close(&ColorSpace::AcesCg.matrix_to(ColorSpace::Rec709), &expected));
+        assert!(close(&ColorSpace::Rec709.matrix_to(ColorSpace::AcesCg), &inverse(&expected)));
+        assert_eq!(ColorSpace::AcesCg.matrix_to(ColorSpace::AcesCg), IDENTITY);
+        // The luminance of the primaries of BT.709 is in the standard to four digits.
+        for (got, expected) in rec709[1].iter().zip([0.2126, 0.7152, 0.0722]) {
+            assert!((got - expected).abs() < 5e-5);
+        }
+    }
+
+    #[test]
+    fn rec709_lies_within_acescg() {
+        let matrix = ColorSpace::Rec709.matrix_to(ColorSpace::AcesCg);
+        assert!(matrix.iter().flatten().all(|&entry| entry > 0.0));
+        for row in matrix {
+            assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-15);
+        }
+        for space in [ColorSpace::Rec709, ColorSpace::AcesCg] {
+            assert_eq!(ColorSpace::from_name(space.name()), Some(space));
         }
     }
 }

@@ -6,6 +6,7 @@ pub mod capture;
 pub mod cli;
 pub mod color;
 pub mod error;
+pub mod export;
 pub mod fit;
 pub mod image;
 pub mod io;
@@ -16,8 +17,9 @@ pub mod nn;
 pub mod render;
 
 pub use capture::{Capture, CaptureOptions, Photo, PhotoPixels, Shot};
-pub use color::Transfer;
+pub use color::{ColorSpace, Transfer};
 pub use error::{Error, Result};
+pub use export::{ExportOptions, ExportReport, ExportTarget, NormalConvention};
 pub use fit::options::{FitOptions, Method, Preset};
 pub use fit::progress::{CancelToken, Progress};
 pub use fit::{Fit, fit_material};

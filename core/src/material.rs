@@ -7,9 +7,9 @@ use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 /// The maps of a material, each an (H, W, C) image, rows from the top.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
-    /// Diffuse albedo, (H, W, 3), linear, [0, 1].
+    /// Diffuse albedo, (H, W, 3), linear Rec. 709, [0, 1].
     pub diffuse_albedo: Image,
-    /// Specular albedo (reflectance at normal incidence), (H, W, 3), linear, [0, 1].
+    /// Specular albedo (reflectance at normal incidence), (H, W, 3), linear Rec. 709, [0, 1].
     pub specular_albedo: Image,
     /// Perceptual roughness, (H, W, 1), or (H, W, 2) for (x, y) of an anisotropic material; [0, 1].
     pub roughness: Image,

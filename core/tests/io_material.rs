@@ -139,7 +139,7 @@ fn json_says_what_is_there() {
     assert_eq!(value["patch_size"], 12.5);
     assert_eq!(value["unit"], "cm");
     assert_eq!(value["lobe"], "isotropic");
-    assert_eq!(value["maps"]["diffuse"], json!({"file": "diffuse.png", "transfer": "srgb"}));
+    assert_eq!(value["maps"]["diffuse"], json!({"file": "diffuse.png", "transfer": "srgb", "color_space": "rec709"}));
     assert_eq!(value["maps"]["roughness"], json!({"file": "roughness.png", "transfer": "linear"}));
     assert!(value["maps"].get("tangent").is_none());
     assert!(value["conventions"]["normal"].as_str().unwrap().contains("(n + 1) / 2"));

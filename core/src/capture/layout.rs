@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::Shot;
-use crate::color::Transfer;
+use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::io::read_file;
 
@@ -21,6 +21,7 @@ pub(super) struct Layout {
     pub entries: Vec<Entry>,
     pub patch_size: f64,
     pub transfer: Transfer,
+    pub color_space: ColorSpace,
     pub unit: Option<String>,
     pub white_level: Option<f32>,
 }
@@ -84,6 +85,12 @@ impl Layout {
         }
     }
 
+    /// A capture of the literature: gamma 2.2, Rec. 709.
+    fn gamma22(entries: Vec<Entry>, patch_size: f64) -> Self {
+        let (transfer, color_space) = (Transfer::Gamma22, ColorSpace::Rec709);
+        Self { entries, patch_size, transfer, color_space, unit: None, white_level: None }
+    }
+
     /// The folder of MaterialGAN and the paper: numbered photos and four text files.
     fn from_folder(folder: &Path) -> Result<Self> {
         let cameras = read_rows(&folder.join("camera_pos.txt"))?;
@@ -129,7 +136,7 @@ impl Layout {
                 )),
             })
             .collect::<Result<_>>()?;
-        Ok(Self { entries, patch_size, transfer: Transfer::Gamma22, unit: None, white_level: None })
+        Ok(Self::gamma22(entries, patch_size))
     }
 }
 
@@ -143,6 +150,8 @@ struct CaptureFile {
     _version: u64,
     patch_size: f64,
     transfer: Transfer,
+    #[serde(default)]
+    color_space: ColorSpace,
     light_intensity: Option<[f64; 3]>,
     unit: Option<String>,
     white_level: Option<f32>,
@@ -182,6 +191,7 @@ impl CaptureFile {
             entries,
             patch_size: self.patch_size,
             transfer: self.transfer,
+            color_space: self.color_space,
             unit: self.unit,
             white_level: self.white_level,
         })
@@ -219,7 +229,7 @@ impl DiffRendererFile {
                 )),
             })
             .collect::<Result<_>>()?;
-        Ok(Layout { entries, patch_size: self.im_size, transfer: Transfer::Gamma22, unit: None, white_level: None })
+        Ok(Layout::gamma22(entries, self.im_size))
     }
 }
 

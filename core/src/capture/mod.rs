@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::color::Transfer;
+use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::io::resize::{fit_size, shrink};
@@ -63,7 +63,7 @@ pub struct Photo {
     pub name: String,
     /// Positions and light.
     pub shot: Shot,
-    /// Linear RGB, (H, W, 3).
+    /// Linear RGB (Rec. 709), (H, W, 3).
     pub image: Image,
     /// One byte per pixel; bit c is set where channel c stands at the encoding's upper end and only says "at least this bright".
     pub saturated: Vec<u8>,
@@ -96,6 +96,8 @@ pub struct CaptureOptions {
     pub views: Option<Vec<usize>>,
     /// The transfer function; see [`CaptureOptions::transfer`].
     pub transfer: Option<Transfer>,
+    /// The colour space of linear photos; see [`CaptureOptions::color_space`].
+    pub color_space: Option<ColorSpace>,
 }
 
 impl CaptureOptions {
@@ -120,6 +122,50 @@ impl CaptureOptions {
     pub fn transfer(mut self, transfer: Transfer) -> Self {
         self.transfer = Some(transfer);
         self
+    }
+
+    /// Replaces the colour space that the capture states for linear photos and their light intensity; [`ColorSpace::Rec709`] where it states none.
+    ///
+    /// Both are converted to linear Rec. 709. Photos in another transfer function are Rec. 709 whatever is said here, with a warning.
+    pub fn color_space(mut self, color_space: ColorSpace) -> Self {
+        self.color_space = Some(color_space);
+        self
+    }
+}
+
+/// How the stored values of a capture's photos become linear Rec. 709.
+#[derive(Clone, Copy)]
+struct Encoding {
+    transfer: Transfer,
+    color_space: ColorSpace,
+    white_level: Option<f32>,
+}
+
+impl Encoding {
+    /// What the options ask for, else what the capture states; and a warning where the two parts contradict each other.
+    fn new(
+        transfer: Transfer,
+        color_space: ColorSpace,
+        white_level: Option<f32>,
+        options: &CaptureOptions,
+    ) -> Result<(Self, Option<String>)> {
+        check_white_level(white_level)?;
+        let transfer = options.transfer.unwrap_or(transfer);
+        let asked = options.color_space.unwrap_or(color_space);
+        if transfer == Transfer::Linear || asked == ColorSpace::Rec709 {
+            return Ok((Self { transfer, color_space: asked, white_level }, None));
+        }
+        let warning = format!("color_space {}: photos in {} are taken as rec709", asked.name(), transfer.name());
+        Ok((Self { transfer, color_space: ColorSpace::Rec709, white_level }, Some(warning)))
+    }
+
+    /// The shot with its light in Rec. 709, checked.
+    fn shot(self, photo: &str, shot: Shot) -> Result<Shot> {
+        shot.check(photo)?;
+        let light_intensity = self.color_space.convert(ColorSpace::Rec709, shot.light_intensity);
+        let converted = Shot { light_intensity, ..shot };
+        converted.check(photo)?;
+        Ok(converted)
     }
 }
 
@@ -202,16 +248,16 @@ impl Capture {
             Entry { name, path: path.clone(), shot: *shot }
         };
         let entries = files.iter().map(entry).collect();
-        Self::read(Layout { entries, patch_size, transfer, unit: None, white_level }, options)
+        let color_space = ColorSpace::Rec709;
+        Self::read(Layout { entries, patch_size, transfer, color_space, unit: None, white_level }, options)
     }
 
     fn read(layout: Layout, options: &CaptureOptions) -> Result<Self> {
-        let Layout { entries, patch_size, transfer, unit, white_level } = layout;
-        let transfer = options.transfer.unwrap_or(transfer);
+        let Layout { mut entries, patch_size, transfer, color_space, unit, white_level } = layout;
+        let (encoding, warning) = Encoding::new(transfer, color_space, white_level, options)?;
         check_patch_size(patch_size)?;
-        check_white_level(white_level)?;
-        for entry in &entries {
-            entry.shot.check(&entry.name)?;
+        for entry in &mut entries {
+            entry.shot = encoding.shot(&entry.name, entry.shot)?;
         }
         let selected: Vec<_> = match &options.views {
             Some(views) => check_views(views, entries.len())?.iter().map(|&view| &entries[view]).collect(),
@@ -221,11 +267,11 @@ impl Capture {
             .par_iter()
             .map(|entry| {
                 let stored = read_stored(&entry.path)?;
-                let photo = develop(&entry.name, entry.shot, stored.pixels(), transfer, white_level, options.size)?;
+                let photo = develop(&entry.name, entry.shot, stored.pixels(), encoding, options.size)?;
                 Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
             })
             .collect::<Result<Vec<_>>>()?;
-        Self::assemble(loaded, patch_size, transfer, unit, options.size)
+        Self::assemble(loaded, patch_size, encoding.transfer, unit, options.size, warning)
     }
 
     /// A capture from photos in memory, with the checks of [`Capture::open_with`].
@@ -257,11 +303,10 @@ impl Capture {
         white_level: Option<f32>,
         options: &CaptureOptions,
     ) -> Result<Self> {
-        let transfer = options.transfer.unwrap_or(transfer);
+        let (encoding, warning) = Encoding::new(transfer, ColorSpace::Rec709, white_level, options)?;
         check_patch_size(patch_size)?;
-        check_white_level(white_level)?;
         for photo in photos {
-            photo.shot.check(photo.name)?;
+            encoding.shot(photo.name, photo.shot)?;
             let expected = photo.width.checked_mul(photo.height).and_then(|n| n.checked_mul(photo.channels));
             if !(1..=4).contains(&photo.channels) || photo.samples.is_empty() || expected != Some(photo.samples.len()) {
                 return Err(Error::shape(
@@ -280,13 +325,13 @@ impl Capture {
             .map(|photo| {
                 let PhotoPixels { name, shot, width, height, channels, samples } = **photo;
                 let pixels = Pixels { width, height, channels, samples };
-                develop(name, shot, pixels, transfer, white_level, options.size)
+                develop(name, encoding.shot(name, shot)?, pixels, encoding, options.size)
             })
             .collect::<Result<Vec<_>>>()?;
-        Self::assemble(loaded, patch_size, transfer, None, options.size)
+        Self::assemble(loaded, patch_size, encoding.transfer, None, options.size, warning)
     }
 
-    /// A capture from photos that are linear already; `transfer` says how they were stored before.
+    /// A capture from photos that are linear Rec. 709 already; `transfer` says how they were stored before.
     ///
     /// # Errors
     /// As [`Capture::from_photos`].
@@ -310,7 +355,7 @@ impl Capture {
                 Loaded { photo, full_size, notes: Vec::new() }
             })
             .collect();
-        Self::assemble(loaded, patch_size, transfer, None, None)
+        Self::assemble(loaded, patch_size, transfer, None, None, None)
     }
 
     fn assemble(
@@ -319,6 +364,7 @@ impl Capture {
         transfer: Transfer,
         unit: Option<String>,
         size: Option<usize>,
+        warning: Option<String>,
     ) -> Result<Self> {
         let Some(first) = loaded.first() else {
             return Err(Error::invalid("capture", "expected at least one photo, got 0"));
@@ -331,7 +377,7 @@ impl Capture {
                 format!("{} x {}", other.full_size.0, other.full_size.1),
             ));
         }
-        let mut warnings = Vec::new();
+        let mut warnings = Vec::from_iter(warning);
         if let Some(size) = size.filter(|&size| size > width.max(height)) {
             warnings.push(format!("size {size} asked for, photos of {width} x {height} are not enlarged"));
         }
@@ -408,15 +454,11 @@ struct Loaded {
     notes: Vec<String>,
 }
 
-/// Makes a linear photo of stored pixels: decodes, resamples to at most `size`, expands grey, notes what is saturated.
-fn develop(
-    name: &str,
-    shot: Shot,
-    pixels: Pixels<'_>,
-    transfer: Transfer,
-    white_level: Option<f32>,
-    size: Option<usize>,
-) -> Result<Loaded> {
+/// Makes a linear photo of stored pixels: decodes, resamples to at most `size`, expands grey, converts to Rec. 709, notes what is saturated.
+///
+/// A conversion mixes the channels: a pixel saturated in one is saturated in all then.
+fn develop(name: &str, shot: Shot, pixels: Pixels<'_>, encoding: Encoding, size: Option<usize>) -> Result<Loaded> {
+    let Encoding { transfer, color_space, white_level } = encoding;
     if size == Some(0) {
         return Err(Error::invalid("size", "expected at least 1 pixel, got 0"));
     }
@@ -441,7 +483,13 @@ fn develop(
             *bits *= 7;
         }
     }
-    let image = Image::new(width, height, 3, values)?;
+    let mut image = Image::new(width, height, 3, values)?;
+    if color_space != ColorSpace::Rec709 {
+        color_space.convert_image(ColorSpace::Rec709, &mut image);
+        for bits in &mut saturated {
+            *bits = if *bits == 0 { 0 } else { 7 };
+        }
+    }
     Ok(Loaded { photo: Photo { name: name.to_owned(), shot, image, saturated }, full_size, notes })
 }
 

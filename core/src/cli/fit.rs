@@ -9,6 +9,7 @@ use serde_json::json;
 
 use super::{CaptureArgs, complain, say, say_json};
 use crate::capture::Capture;
+use crate::color::ColorSpace;
 use crate::error::{Error, Result};
 use crate::fit::options::{FitOptions, Method, Preset};
 use crate::fit::progress::{CancelToken, Progress};
@@ -118,6 +119,7 @@ impl FitArgs {
             FormatArg::Png16 => MaterialFormat::Png16,
             FormatArg::Tiff => MaterialFormat::Tiff,
         })
+        .color_space(self.capture.color_space.map(ColorSpace::from).unwrap_or_default())
     }
 }
 

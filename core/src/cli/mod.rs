@@ -1,6 +1,7 @@
 //! The command line, as a library function so that every package can offer it.
 
 mod evaluate;
+mod export;
 mod fit;
 mod info;
 mod preview;
@@ -13,7 +14,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::capture::CaptureOptions;
-use crate::color::Transfer;
+use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 
 /// Material maps from flash photos.
@@ -38,6 +39,8 @@ enum Command {
     Render(render::RenderArgs),
     /// Compare re-renderings of a material with photos that the fit did not use.
     Evaluate(evaluate::EvaluateArgs),
+    /// Write a material for MaterialX, glTF, Blender or Unreal.
+    Export(export::ExportArgs),
     /// Tell what a weights file or a material folder holds.
     Info(info::InfoArgs),
 }
@@ -53,6 +56,9 @@ struct CaptureArgs {
     /// Transfer function of the photos, instead of what the capture states.
     #[arg(long)]
     transfer: Option<TransferArg>,
+    /// Colour space of linear photos and of their light, instead of what the capture states; `fit` also writes the albedos in it.
+    #[arg(long, value_enum)]
+    color_space: Option<ColorSpaceArg>,
 }
 
 impl CaptureArgs {
@@ -61,6 +67,7 @@ impl CaptureArgs {
         options.size = size;
         options.views.clone_from(&self.views);
         options.transfer = self.transfer.map(Transfer::from);
+        options.color_space = self.color_space.map(ColorSpace::from);
         options
     }
 }
@@ -79,6 +86,22 @@ impl From<TransferArg> for Transfer {
             TransferArg::Gamma22 => Self::Gamma22,
             TransferArg::Srgb => Self::Srgb,
             TransferArg::Linear => Self::Linear,
+        }
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ColorSpaceArg {
+    Rec709,
+    #[value(name = "acescg")]
+    AcesCg,
+}
+
+impl From<ColorSpaceArg> for ColorSpace {
+    fn from(color_space: ColorSpaceArg) -> Self {
+        match color_space {
+            ColorSpaceArg::Rec709 => Self::Rec709,
+            ColorSpaceArg::AcesCg => Self::AcesCg,
         }
     }
 }
@@ -120,6 +143,7 @@ pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) ->
         Command::Fit(args) => fit::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Info(args) => info::run(&args),
     };
     match result {

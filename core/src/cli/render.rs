@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{TransferArg, Triple};
+use super::{ColorSpaceArg, TransferArg, Triple};
 use crate::capture::Shot;
-use crate::color::Transfer;
-use crate::error::Result;
+use crate::color::{ColorSpace, Transfer};
+use crate::error::{Error, Result};
 use crate::io::write_image;
 use crate::material::Material;
 use crate::render::render;
@@ -29,9 +29,12 @@ pub struct RenderArgs {
     /// Longer side of the picture; maps are resampled by area, never enlarged.
     #[arg(long)]
     size: Option<usize>,
-    /// Encoding of a PNG, JPEG or TIFF; OpenEXR files are linear.
+    /// Encoding of a PNG or JPEG; OpenEXR and TIFF files are floats, linear.
     #[arg(long, value_enum, default_value = "srgb")]
     transfer: TransferArg,
+    /// Colour space of a linear picture and of the light intensity.
+    #[arg(long, value_enum, default_value = "rec709")]
+    color_space: ColorSpaceArg,
     /// The picture: .png, .jpg, .tif or .exr.
     #[arg(long, short)]
     out: PathBuf,
@@ -43,8 +46,19 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         Some(size) => material.resized(size)?,
         None => material,
     };
+    let (transfer, color_space) = (Transfer::from(args.transfer), ColorSpace::from(args.color_space));
+    let extension = args.out.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let is_linear = transfer == Transfer::Linear || matches!(extension.as_str(), "exr" | "tif" | "tiff");
+    if color_space != ColorSpace::Rec709 && !is_linear {
+        let reason =
+            format!("{} is for linear pictures, got a .{extension} in {}", color_space.name(), transfer.name());
+        return Err(Error::invalid("color_space", reason));
+    }
     let distance2: f64 = args.light.0.iter().map(|x| x * x).sum();
     let light_intensity = args.light_intensity.map_or([std::f64::consts::PI * distance2; 3], |intensity| intensity.0);
+    let light_intensity = color_space.convert(ColorSpace::Rec709, light_intensity);
     let shot = Shot { camera: args.camera.0, light: args.light.0, light_intensity };
-    write_image(&args.out, &render(&material, &shot)?, Transfer::from(args.transfer))
+    let mut picture = render(&material, &shot)?;
+    ColorSpace::Rec709.convert_image(color_space, &mut picture);
+    write_image(&args.out, &picture, transfer)
 }

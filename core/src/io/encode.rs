@@ -59,8 +59,8 @@ fn codes8(image: &Image, transfer: Transfer) -> (Vec<u8>, ExtendedColorType) {
     (image.data().iter().map(code).collect(), color)
 }
 
-/// A PNG of 8 bits, the values encoded with `transfer`.
-pub(super) fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
+/// A PNG of 8 bits, the values encoded with `transfer`; one or three channels.
+pub(crate) fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
     let (codes, color) = codes8(image, transfer);
     png(path, image, &codes, color)
 }
@@ -76,7 +76,7 @@ fn jpeg(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
 }
 
 /// A PNG of 16 bits, the values encoded with `transfer`; two channels are written as R, G and B = 0.
-pub(super) fn png16(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
+pub(crate) fn png16(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
     let image = &with_blue(image)?;
     let code = |v: f32| (transfer.encode(v).clamp(0.0, 1.0) * 65535.0).round() as u16;
     let bytes: Vec<u8> = image.data().iter().flat_map(|&v| code(v).to_ne_bytes()).collect();

@@ -9,7 +9,7 @@ use super::encode::{named_channels, png16, tiff_float};
 use super::exr::{self, Precision};
 use super::resize::{fit_size, shrink};
 use super::save::write_files;
-use crate::color::Transfer;
+use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::maps::Lobe;
@@ -32,26 +32,30 @@ pub enum MaterialFormat {
     /// OpenEXR with half floats, everything linear: a relative error of 2^-11 (absolute 2^-25 below 6e-5).
     #[default]
     Exr,
-    /// PNG with 16 bits: albedos sRGB-encoded, roughness, normal and tangent as data.
+    /// PNG with 16 bits: albedos sRGB-encoded (in ACEScg linear), roughness, normal and tangent as data.
     Png16,
     /// TIFF with 32-bit floats, everything linear; loses nothing.
     Tiff,
 }
 
 impl MaterialFormat {
-    fn extension(self) -> &'static str {
-        match self {
+    const ALL: [Self; 3] = [Self::Exr, Self::Png16, Self::Tiff];
+
+    fn file_name(self, map: Map) -> String {
+        let extension = match self {
             Self::Exr => "exr",
             Self::Png16 => "png",
             Self::Tiff => "tif",
-        }
+        };
+        format!("{}.{extension}", map.name())
     }
 
     /// The transfer function of the file of a map.
-    fn transfer(self, map: Map) -> Transfer {
-        match (self, map) {
-            (Self::Png16, Map::Diffuse | Map::Specular) => Transfer::Srgb,
-            _ => Transfer::Linear,
+    fn transfer(self, map: Map, color_space: ColorSpace) -> Transfer {
+        if self == Self::Png16 && map.is_color() && color_space == ColorSpace::Rec709 {
+            Transfer::Srgb
+        } else {
+            Transfer::Linear
         }
     }
 }
@@ -66,6 +70,8 @@ pub struct SaveOptions {
     pub unit: Option<String>,
     /// What made the material (settings, losses, timings, warnings), written to `material.json` as it is.
     pub report: Option<serde_json::Value>,
+    /// The colour space of the albedos written.
+    pub color_space: ColorSpace,
 }
 
 impl SaveOptions {
@@ -83,6 +89,12 @@ impl SaveOptions {
     /// Adds a report to `material.json`.
     pub fn report(mut self, report: serde_json::Value) -> Self {
         self.report = Some(report);
+        self
+    }
+
+    /// Writes the albedos in this colour space.
+    pub fn color_space(mut self, color_space: ColorSpace) -> Self {
+        self.color_space = color_space;
         self
     }
 }
@@ -186,6 +198,13 @@ enum Map {
 }
 
 impl Map {
+    const ALL: [Self; 5] = [Self::Diffuse, Self::Specular, Self::Roughness, Self::Normal, Self::Tangent];
+
+    /// Whether the map holds colours, which have a colour space.
+    fn is_color(self) -> bool {
+        matches!(self, Self::Diffuse | Self::Specular)
+    }
+
     fn name(self) -> &'static str {
         match self {
             Self::Diffuse => "diffuse",
@@ -240,11 +259,20 @@ struct MapFiles {
     tangent: Option<MapFile>,
 }
 
+impl MapFiles {
+    fn files(&self) -> impl Iterator<Item = &MapFile> {
+        [&self.diffuse, &self.specular, &self.roughness, &self.normal].into_iter().chain(&self.tangent)
+    }
+}
+
 /// One map's file, relative to the folder, and how its values are stored.
 #[derive(Clone, Serialize, Deserialize)]
 struct MapFile {
     file: String,
     transfer: Transfer,
+    /// Of a colour map; Rec. 709 where it is not stated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    color_space: Option<ColorSpace>,
 }
 
 /// What the maps mean, in words.
@@ -265,7 +293,7 @@ impl Conventions {
         let anisotropic = lobe == Lobe::Anisotropic;
         Self {
             frame: "x right, y up (row 0 is at +y), z out of the surface; patch_size is the width of the maps, the height follows from their aspect",
-            diffuse: "diffuse albedo, linear, 0 to 1, encoded with transfer",
+            diffuse: "diffuse albedo, linear RGB of color_space, 0 to 1, encoded with transfer",
             specular: "specular albedo (reflectance at normal incidence, F0), linear, 0 to 1, encoded with transfer",
             roughness: if anisotropic {
                 "perceptual roughness along tangent and bitangent in channels R and G, 0 to 1; alpha is its square"
@@ -285,6 +313,7 @@ impl Material {
     /// Files are `diffuse`, `specular`, `roughness`, `normal` and, for an anisotropic material, `tangent`, with the extension of the
     /// format. Albedos and roughness are limited to [0, 1], normals and tangents written at unit length. All files are
     /// written under temporary names before the first is renamed, `material.json` last: what fails leaves the folder as it was.
+    /// Map files of another format that the folder's former `material.json` names are removed after that.
     ///
     /// # Errors
     /// As [`Material::to_maps`]; [`Error::Io`] if a file cannot be written.
@@ -308,9 +337,15 @@ impl Material {
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
         let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
         let mut write = |map: Map, image: &Image| {
+            let mut converted = image.clone();
+            if map.is_color() {
+                ColorSpace::Rec709.convert_image(options.color_space, &mut converted);
+            }
+            let image = &converted;
             let entry = MapFile {
-                file: format!("{}.{}", map.name(), options.format.extension()),
-                transfer: options.format.transfer(map),
+                file: options.format.file_name(map),
+                transfer: options.format.transfer(map, options.color_space),
+                color_space: map.is_color().then_some(options.color_space),
             };
             let path = folder.join(&entry.file);
             let bytes = match options.format {
@@ -347,13 +382,18 @@ impl Material {
             report: options.report.clone(),
         };
         let path = folder.join(MATERIAL_JSON);
+        let replaced = if path.exists() { read_description(&path).ok().map(|old| old.maps) } else { None };
         let mut text = serde_json::to_vec_pretty(&description).map_err(|e| Error::io(&path, e))?;
         text.push(b'\n');
         files.push((path, text));
-        write_files(&files)
+        write_files(&files)?;
+        if let Some(replaced) = replaced {
+            remove_replaced(folder, &replaced, &description.maps);
+        }
+        Ok(())
     }
 
-    /// Reads a folder with a `material.json`.
+    /// Reads a folder with a `material.json`. Albedos in another colour space are converted to Rec. 709 and limited to [0, 1] again.
     ///
     /// # Errors
     /// [`Error::Io`] for files that are missing or broken; [`Error::UnsupportedFormat`] for another version of the format, or a
@@ -425,6 +465,21 @@ pub fn read_report(folder: impl AsRef<Path>) -> Result<Option<serde_json::Value>
     Ok(read_description(&folder.as_ref().join(MATERIAL_JSON))?.report)
 }
 
+/// Removes the map files of `old` that are none of `new`, as far as they bear names that [`Material::save`] gives. The material is
+/// in place by then: a file that cannot be removed is only logged.
+fn remove_replaced(folder: &Path, old: &MapFiles, new: &MapFiles) {
+    let ours =
+        |file: &str| MaterialFormat::ALL.iter().any(|format| Map::ALL.iter().any(|&map| file == format.file_name(map)));
+    for MapFile { file, .. } in old.files() {
+        if !ours(file) || new.files().any(|entry| entry.file == *file) {
+            continue;
+        }
+        if let Err(error) = std::fs::remove_file(folder.join(file)) {
+            tracing::warn!("{}: not removed: {error}", folder.join(file).display());
+        }
+    }
+}
+
 fn read_description(path: &Path) -> Result<MaterialFile> {
     #[derive(Deserialize)]
     struct Head {
@@ -449,7 +504,11 @@ fn load_described(folder: &Path, description: &MaterialFile) -> Result<Material>
     let MapFiles { diffuse, specular, roughness, normal, tangent } = &description.maps;
     let read = |map: Map, entry: &MapFile| {
         let path = folder.join(&entry.file);
-        decode_map(map, description.lobe, &path, &read_stored(&path)?, entry.transfer)
+        let mut image = decode_map(map, description.lobe, &path, &read_stored(&path)?, entry.transfer)?;
+        if let Some(color_space) = entry.color_space.filter(|_| map.is_color()) {
+            color_space.convert_image(ColorSpace::Rec709, &mut image);
+        }
+        Ok(image)
     };
     let tangent = match (description.lobe, tangent) {
         (Lobe::Isotropic, _) => None,

@@ -17,6 +17,7 @@ pub(crate) mod save;
 use std::path::Path;
 
 pub use encode::write_image;
+pub(crate) use encode::{png8, png16};
 
 use crate::color::Transfer;
 use crate::error::Result;
