@@ -9,7 +9,7 @@ use std::fs;
 use std::path::Path;
 
 use svbrdf_gcn::io::Samples;
-use svbrdf_gcn::{Capture, CaptureOptions, PhotoPixels, Shot, Transfer};
+use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer};
 use tempfile::TempDir;
 
 const CAMERAS: &str = "1.0,0.5,16.0\n-2.0, 1.0, 15.5\n0 0 17\n";
@@ -291,4 +291,53 @@ fn photos_in_memory() {
     let mut behind = photo(Samples::U8(&[0; 6]), 3);
     behind.shot.light[2] = -1.0;
     assert_mentions(&open(&[behind], None).unwrap_err().to_string(), &["p", "light", "-1"]);
+}
+
+#[test]
+fn linear_photos_in_acescg_become_rec709() {
+    let pixels = [0.2f32, 0.5, 0.1, 0.9, 0.0, 0.0];
+    let shot = Shot { camera: [0.0, 0.0, 9.0], light: [1.0, 0.0, 9.0], light_intensity: [30.0, 20.0, 10.0] };
+    let photo = |samples| PhotoPixels { name: "a", shot, width: 2, height: 1, channels: 3, samples };
+    let open = |samples, transfer, options: &CaptureOptions| {
+        Capture::from_photos(&[photo(samples)], 4.0, transfer, Some(0.9), options).unwrap()
+    };
+    let acescg = CaptureOptions::new().color_space(ColorSpace::AcesCg);
+    let capture = open(Samples::F32(&pixels), Transfer::Linear, &acescg);
+    let to_rec709 = |rgb: [f64; 3]| ColorSpace::AcesCg.convert(ColorSpace::Rec709, rgb);
+    let converted = &capture.photos()[0];
+    assert_eq!(converted.shot.light_intensity, to_rec709([30.0, 20.0, 10.0]));
+    let expected = [to_rec709([0.2, 0.5, 0.1]), to_rec709([0.9, 0.0, 0.0])].concat();
+    for (got, expected) in converted.image.data().iter().zip(expected) {
+        assert!((f64::from(*got) - expected).abs() < 1e-6);
+    }
+    assert!(converted.image.data()[4] < 0.0, "a red that Rec. 709 has not");
+    assert_eq!(converted.saturated, [0, 7], "one saturated channel reaches all");
+    assert!(capture.warnings().is_empty());
+
+    // Encoded photos are Rec. 709, and a warning says so.
+    let capture = open(Samples::U8(&[10, 20, 30, 40, 50, 255]), Transfer::Srgb, &acescg);
+    let plain = open(Samples::U8(&[10, 20, 30, 40, 50, 255]), Transfer::Srgb, &CaptureOptions::new());
+    assert_eq!(capture.photos(), plain.photos());
+    assert!(capture.warnings().iter().any(|w| w.contains("acescg") && w.contains("srgb")), "{:?}", capture.warnings());
+
+    // A light that Rec. 709 has not.
+    let green =
+        PhotoPixels { shot: Shot { light_intensity: [0.0, 20.0, 0.0], ..shot }, ..photo(Samples::F32(&pixels)) };
+    let error = Capture::from_photos(&[green], 4.0, Transfer::Linear, None, &acescg).unwrap_err();
+    assert!(error.to_string().contains("light_intensity"), "{error}");
+}
+
+#[test]
+fn a_capture_states_its_colour_space() {
+    let linear = |extra: &str| json(extra, ONE_PHOTO).replace("srgb", "linear");
+    let (rec709, acescg) = (json_folder(&linear("")), json_folder(&linear(r#""color_space": "acescg","#)));
+    let open = |dir: &TempDir, options: &CaptureOptions| Capture::open_with(dir.path(), options).unwrap();
+    let asked = CaptureOptions::new().color_space(ColorSpace::AcesCg);
+    let stated = open(&acescg, &CaptureOptions::new());
+    assert_eq!(stated, open(&rec709, &asked));
+    assert_ne!(stated, open(&rec709, &CaptureOptions::new()));
+    let replaced = CaptureOptions::new().color_space(ColorSpace::Rec709);
+    assert_eq!(open(&acescg, &replaced), open(&rec709, &CaptureOptions::new()));
+    let unknown = json_folder(&linear(r#""color_space": "p3","#));
+    assert_mentions(&message(unknown.path()), &["capture.json", "p3", "acescg"]);
 }

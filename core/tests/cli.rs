@@ -166,3 +166,60 @@ fn bad_input_is_one_line_that_names_it() {
         assert_eq!(run(arguments).status.code(), Some(2), "{arguments:?}");
     }
 }
+
+#[test]
+fn exports_and_colour_spaces() {
+    let folder = tempfile::tempdir().unwrap();
+    let truth = samples("lambert/truth");
+    let at = |name: &str| folder.path().join(name);
+    for target in ["materialx", "gltf", "principled", "unreal"] {
+        let out = at(target);
+        let report =
+            json(&run(&["export", text(&truth), "--to", target, "-o", text(&out), "--name", "Card", "--json"]));
+        assert_eq!(report["target"], target);
+        assert!(report["loss"]["specular"]["max"].is_number());
+        for file in report["files"].as_array().unwrap() {
+            assert!(out.join(file["file"].as_str().unwrap()).is_file());
+        }
+        let plain = run(&["export", text(&truth), "--to", target, "-o", text(&out)]);
+        assert!(plain.status.success());
+        assert!(String::from_utf8(plain.stdout).unwrap().contains("off at normal incidence"));
+    }
+    assert!(at("materialx/Card.mtlx").is_file() && at("unreal/T_Card_ORM.png").is_file());
+    let directx = run(&["export", text(&truth), "--to", "gltf", "--normals", "directx", "-o", text(&at("none"))]);
+    assert_eq!(directx.status.code(), Some(2));
+    assert!(stderr(&directx).contains("normals") && !at("none").exists());
+
+    // The same view in both spaces, and the matrix between them.
+    let view = ["--camera", "0,0,20", "--light", "-8,8,15", "--light-intensity", "900,800,700", "--size", "16"];
+    let render =
+        |out: &Path, more: &[&str]| run(&[&["render", text(&truth), "-o", text(out)], &view[..], more].concat());
+    assert!(render(&at("rec709.exr"), &[]).status.success());
+    assert!(render(&at("acescg.exr"), &["--color-space", "acescg"]).status.success());
+    let read = |name: &str| svbrdf_gcn::io::read_image(at(name), svbrdf_gcn::Transfer::Linear).unwrap();
+    let (mut rec709, acescg) = (read("rec709.exr"), read("acescg.exr"));
+    assert_ne!(rec709, acescg);
+    let mut back = acescg.clone();
+    svbrdf_gcn::ColorSpace::AcesCg.convert_image(svbrdf_gcn::ColorSpace::Rec709, &mut back);
+    // Lights of (900, 800, 700) in either space are not the same light: compare with the light converted by hand.
+    let light = svbrdf_gcn::ColorSpace::AcesCg.convert(svbrdf_gcn::ColorSpace::Rec709, [900.0, 800.0, 700.0]);
+    for (value, channel) in rec709.data_mut().iter_mut().zip([0, 1, 2].into_iter().cycle()) {
+        *value *= (light[channel] / [900.0, 800.0, 700.0][channel]) as f32;
+    }
+    for (a, b) in rec709.data().iter().zip(back.data()) {
+        assert!((a - b).abs() < 1e-5 * a.abs().max(0.1), "{a} {b}");
+    }
+    let encoded = render(&at("no.png"), &["--color-space", "acescg"]);
+    assert_eq!(encoded.status.code(), Some(2));
+    assert!(stderr(&encoded).contains("color_space") && !at("no.png").exists());
+
+    // Photos in sRGB stay what they are; the albedos come out in ACEScg.
+    let out = at("fit");
+    let capture = samples("lambert");
+    let arguments = ["fit", text(&capture), "-o", text(&out), "--views", "0,1", "--size", "16", "--direct-steps", "5"];
+    let fit = run(&[&arguments[..], &["--color-space", "acescg", "-q"]].concat());
+    assert!(fit.status.success() && stderr(&fit).contains("rec709"), "{}", stderr(&fit));
+    let description: Value = serde_json::from_slice(&std::fs::read(out.join("material.json")).unwrap()).unwrap();
+    assert_eq!(description["maps"]["diffuse"]["color_space"], "acescg");
+    assert!(description["maps"]["normal"].get("color_space").is_none());
+}

@@ -15,7 +15,7 @@ use svbrdf_gcn::io::material::{
     LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_report,
 };
 use svbrdf_gcn::io::read_image;
-use svbrdf_gcn::{Image, Lobe, Maps, Material, Transfer};
+use svbrdf_gcn::{ColorSpace, Image, Lobe, Maps, Material, Transfer};
 use tempfile::TempDir;
 
 const SIZE: (usize, usize) = (5, 3);
@@ -122,6 +122,59 @@ fn exr_channels(path: &Path) -> String {
         assert_eq!(entry[1..6], [0, 1, 0, 0, 0]);
     }
     names
+}
+
+#[test]
+fn another_format_replaces_the_maps_and_nothing_else() {
+    let dir = TempDir::new().unwrap();
+    let anisotropic = material(Lobe::Anisotropic);
+    anisotropic.save(dir.path(), &SaveOptions::new(MaterialFormat::Exr)).unwrap();
+    for name in ["notes.exr", "preview.png", "specular.tif"] {
+        fs::write(dir.path().join(name), b"mine").unwrap();
+    }
+    // A file of the user's own that the description names is his, too.
+    let path = dir.path().join(MATERIAL_JSON);
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("roughness.exr", "notes.exr")).unwrap();
+    material(Lobe::Isotropic).save(dir.path(), &SaveOptions::new(MaterialFormat::Png16)).unwrap();
+    let kept = ["notes.exr", "preview.png", "roughness.exr", "specular.tif"];
+    let written = ["diffuse.png", "material.json", "normal.png", "roughness.png", "specular.png"];
+    let mut expected = [&kept[..], &written[..]].concat();
+    expected.sort_unstable();
+    assert_eq!(names(dir.path()), expected);
+}
+
+#[test]
+fn albedos_in_acescg_come_back() {
+    let before = material(Lobe::Isotropic);
+    for format in [MaterialFormat::Exr, MaterialFormat::Png16, MaterialFormat::Tiff] {
+        let dir = TempDir::new().unwrap();
+        before.save(dir.path(), &SaveOptions::new(format).color_space(ColorSpace::AcesCg)).unwrap();
+        let value: Value = serde_json::from_slice(&fs::read(dir.path().join(MATERIAL_JSON)).unwrap()).unwrap();
+        let extension = if format == MaterialFormat::Png16 {
+            "png"
+        } else if format == MaterialFormat::Exr {
+            "exr"
+        } else {
+            "tif"
+        };
+        let expected = json!({"file": format!("diffuse.{extension}"), "transfer": "linear", "color_space": "acescg"});
+        assert_eq!(value["maps"]["diffuse"], expected);
+        // The file holds the converted values.
+        let stored = read_image(dir.path().join(format!("diffuse.{extension}")), Transfer::Linear).unwrap();
+        let pixel: [f64; 3] = std::array::from_fn(|c| before.diffuse_albedo.data()[c].into());
+        for (stored, expected) in stored.data().iter().zip(ColorSpace::Rec709.convert(ColorSpace::AcesCg, pixel)) {
+            assert!((f64::from(*stored) - expected).abs() < 3e-4, "{stored} {expected}");
+        }
+        // Rounding, times the largest absolute row sum of the matrix back, 2.41.
+        let ratio = worst(&Material::load(dir.path()).unwrap(), &before, |name, _| match (format, name) {
+            (MaterialFormat::Exr, _) => 2.5 / 2048.0,
+            (MaterialFormat::Png16, "normal") => 3.0 / 65535.0,
+            (MaterialFormat::Png16, _) => 2.5 * 0.6 / 65535.0,
+            _ => 2e-6,
+        });
+        assert!(ratio <= 1.0, "{format:?} {ratio}");
+    }
 }
 
 #[test]

@@ -28,6 +28,9 @@ pub const DIELECTRIC_USUAL: f64 = 0.04;
 /// Squared error that a dielectric part may spare by being above [`DIELECTRIC_MAX`] by 1.
 const BRIGHT_PENALTY: f64 = 0.02;
 
+/// Costs that differ by less are the same: errors of about 2e-5.
+const NEGLIGIBLE: f64 = 1e-9;
+
 /// Steps of m that are tried before the best one is refined.
 const COARSE_STEPS: usize = 16;
 const REFINEMENTS: usize = 10;
@@ -123,9 +126,9 @@ impl Solution {
             let solution = Self::with_metallic(target, m, diffuse, specular);
             (solution.cost(target, diffuse, specular), solution)
         };
-        let better = |best: (f64, Self), other: (f64, Self)| if other.0 < best.0 - 1e-12 { other } else { best };
+        let better = |best: (f64, Self), other: (f64, Self)| if other.0 < best.0 - NEGLIGIBLE { other } else { best };
         let mut best = at(0.0);
-        if best.0 < 1e-12 {
+        if best.0 < NEGLIGIBLE {
             return best.1;
         }
         for step in 1..=COARSE_STEPS {
@@ -555,11 +558,11 @@ mod tests {
                 let cost = best.cost(target, diffuse, s);
                 for m in [0.0, 0.25, 0.5, 1.0] {
                     let other = Solution::with_metallic(target, m, diffuse, s).cost(target, diffuse, s);
-                    prop_assert!(cost <= other + 1e-12);
+                    prop_assert!(cost <= other + 2.0 * NEGLIGIBLE);
                 }
                 // An independent search over all of a plain metal and a plain dielectric.
                 let metal = Solution { base: s, metallic: 1.0, dielectric: [DIELECTRIC_USUAL; 3] };
-                prop_assert!(cost <= metal.cost(target, diffuse, s) + 1e-9);
+                prop_assert!(cost <= metal.cost(target, diffuse, s) + 2.0 * NEGLIGIBLE);
             }
         }
     }

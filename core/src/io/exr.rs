@@ -21,7 +21,13 @@ pub(super) enum Precision {
     Float,
 }
 
+/// The decoder's arithmetic overflows on some hostile files (B44), which is a panic where overflow checks are on: that is an error of the file.
 pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
+    std::panic::catch_unwind(|| decode_unguarded(path, bytes))
+        .unwrap_or_else(|_| Err(broken(path, "values that no OpenEXR file has")))
+}
+
+fn decode_unguarded(path: &Path, bytes: &[u8]) -> Result<Stored> {
     let error = |e| exr_error(path, e);
     let reader = exr::block::read(Cursor::new(bytes), false).map_err(error)?;
     // One part is read, with all its channels; the picture takes up to three of them.
@@ -157,4 +163,32 @@ pub(super) fn encode(
     let mut bytes = Cursor::new(Vec::new());
     ExrImage::from_layer(layer).write().non_parallel().to_buffered(&mut bytes).map_err(|e| exr_error(path, e))?;
     Ok(bytes.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use exr::meta::attribute::LineOrder;
+    use exr::prelude::{Blocks, Compression};
+
+    use super::*;
+
+    #[test]
+    fn a_hostile_b44_block_is_no_panic() {
+        let noise = (0..64).map(|i| f16::from_f32(((i * 37 + 11) % 64) as f32 / 64.0)).collect();
+        let channels = AnyChannels::sort(std::iter::once(AnyChannel::new("Y", FlatSamples::F16(noise))).collect());
+        let encoding =
+            Encoding { compression: Compression::B44, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
+        let layer = Layer::new(Vec2(8, 8), LayerAttributes::default(), encoding, channels);
+        let mut file = Cursor::new(Vec::new());
+        ExrImage::from_layer(layer).write().non_parallel().to_buffered(&mut file).unwrap();
+        let mut file = file.into_inner();
+        assert!(decode(Path::new("good.exr"), &file).is_ok());
+        // The last block of 4 x 4 samples takes 14 bytes: all differences at their most negative, from 0.
+        let start = file.len() - 14;
+        file[start..].fill(0);
+        match decode(Path::new("hostile.exr"), &file) {
+            Ok(stored) => assert_eq!((stored.width, stored.height), (8, 8)),
+            Err(error) => assert!(error.to_string().contains("hostile.exr"), "{error}"),
+        }
+    }
 }
