@@ -215,7 +215,7 @@ fn exports_and_colour_spaces() {
 
     // Photos in sRGB stay what they are; the albedos come out in ACEScg.
     let out = at("fit");
-    let capture = samples("lambert");
+    let capture = samples("tiles");
     let arguments = ["fit", text(&capture), "-o", text(&out), "--views", "0,1", "--size", "16", "--direct-steps", "5"];
     let fit = run(&[&arguments[..], &["--color-space", "acescg", "-q"]].concat());
     assert!(fit.status.success() && stderr(&fit).contains("rec709"), "{}", stderr(&fit));

@@ -30,7 +30,9 @@ fn export(lobe: Lobe, options: &ExportOptions) -> (TempDir, Value) {
     let dir = TempDir::new().unwrap();
     let report = material(lobe).export(dir.path().join("out"), options).unwrap();
     let sidecar: Value = json(&dir.path().join("out/export.json"));
-    for (key, value) in serde_json::to_value(&report).unwrap().as_object().unwrap() {
+    // As text and back: the parser may round the last bit of a number.
+    let expected: Value = serde_json::from_str(&serde_json::to_string(&report).unwrap()).unwrap();
+    for (key, value) in expected.as_object().unwrap() {
         assert_eq!(&sidecar[key], value, "{key}");
     }
     let mut listed: Vec<String> = report.files.iter().map(|file| file.file.clone()).collect();
@@ -89,7 +91,7 @@ fn every_file_is_described_as_it_is() {
 fn principled_files_hold_the_maps() {
     let (dir, sidecar) = export(Lobe::Isotropic, &ExportOptions::new(ExportTarget::Principled));
     let maps = Principled::from_material(&material(Lobe::Isotropic)).unwrap();
-    assert_eq!(sidecar["ior"], maps.ior);
+    assert!((sidecar["ior"].as_f64().unwrap() - maps.ior).abs() < 1e-12);
     let step = 0.51 / 65535.0;
     let encoded = |image: &Image| image.data().iter().map(|&v| Transfer::Srgb.encode(v)).collect::<Vec<_>>();
     for (file, image) in [("base_color.png", &maps.base_color), ("specular_tint.png", &maps.specular_tint)] {
