@@ -13,7 +13,7 @@ ifneq ($(wildcard ../shared/REFERENCE.md),)
 export SVBRDF_GCN_REQUIRE_SHARED := 1
 endif
 
-.PHONY: help build demo test setup lint unit docs-test python-build python-test training-test stubs wheel bench fuzz sample clean
+.PHONY: help build demo test setup lint unit docs-test python-build python-test blender-test training-test stubs wheel addon bench fuzz sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -26,7 +26,7 @@ demo: build ## fit the sample capture and show where the pictures are
 	@$(BIN) evaluate out/demo samples/tiles --views 7,8 --truth samples/tiles/truth
 	@echo "Look at out/demo/preview.png"
 
-test: setup lint unit docs-test python-build python-test ## set up what the tests need, and run them all, cheapest first
+test: setup lint unit docs-test python-build python-test blender-test ## set up what the tests need, and run them all, cheapest first
 
 setup: ## Python packages in .venv
 	@tools/setup.sh
@@ -69,6 +69,12 @@ training-test: ## the trainer; TRAINING_PYTHON is a Python that has PyTorch, num
 	@[ -x $(VENV)/training/bin/python ] || { $(TRAINING_PYTHON) -m venv --system-site-packages $(VENV)/training && $(VENV)/training/bin/pip install --quiet --disable-pip-version-check pytest; }
 	$(VENV)/training/bin/python -m pytest -q -rs tests/training
 
+blender-test: ## the extension, in Blender's Python module
+	SVBRDF_GCN_WHEEL=$$(ls $(CURDIR)/target/wheels/*.whl) $(VENV)/blender/bin/python -m pytest -q tests/blender
+
+addon: wheel ## the Blender extension in dist
+	$(VENV)/bin/python python/tools/build_addon.py dist/*.whl -o dist
+
 bench: ## benchmarks; figures are in docs/performance.md
 	$(CARGO) bench -p svbrdf-gcn
 
@@ -78,10 +84,8 @@ fuzz: ## a minute on each reader (needs cargo-fuzz)
 		RUSTC_BOOTSTRAP=1 $(CARGO) fuzz run -O $$target fuzz/corpus/$$target fuzz/seeds/$$target -- -max_total_time=60 -malloc_limit_mb=1200 -max_len=65536 || exit 1; \
 	done
 
-sample: ## path-trace the sample captures again (needs Python 3.11 for Blender's module)
-	python3.11 -m venv .venv/blender
-	.venv/blender/bin/pip install --quiet bpy==5.0.1 numpy
-	.venv/blender/bin/python python/tools/make_sample.py samples
+sample: setup ## path-trace the sample captures again
+	$(VENV)/blender/bin/python python/tools/make_sample.py samples
 
 clean: ## remove what was built
 	rm -rf target out dist $(VENV)

@@ -10,6 +10,12 @@ for command in "${!packages[@]}"; do
     command -v "$command" >/dev/null || missing+=("${packages[$command]}")
 done
 python3 -c 'import venv, ensurepip' 2>/dev/null || missing+=(python3-venv)
+# Libraries that Blender's Python module loads.
+declare -A libraries=([libGL.so.1]=libgl1 [libICE.so.6]=libice6 [libSM.so.6]=libsm6 [libXfixes.so.3]=libxfixes3 [libXi.so.6]=libxi6
+    [libxkbcommon.so.0]=libxkbcommon0 [libXrender.so.1]=libxrender1)
+for library in "${!libraries[@]}"; do
+    /sbin/ldconfig -p | grep -qF "$library" || missing+=("${libraries[$library]}")
+done
 if [ ${#missing[@]} -gt 0 ]; then
     if [ "$(id -u)" = 0 ] || [ "${CI:-}" = true ]; then
         sudo=""
@@ -24,11 +30,17 @@ fi
 
 # A virtual environment with the packages of a requirements file, made anew where the file has changed.
 environment() {
-    local folder=$1 requirements=$2
+    local folder=$1 requirements=$2 python=${3:-python3}
     cmp -s "$requirements" "$folder/requirements.txt" && return
-    [ -x "$folder/bin/python" ] || python3 -m venv "$folder"
+    [ -x "$folder/bin/python" ] || "$python" -m venv "$folder"
     "$folder/bin/pip" install --quiet --disable-pip-version-check -r "$requirements"
     cp "$requirements" "$folder/requirements.txt"
 }
 environment .venv tests/python/requirements.txt
 environment .venv/numpy1 tests/python/requirements-numpy1.txt
+# Blender's module is for Python 3.11 only.
+if ! command -v python3.11 >/dev/null; then
+    echo "Missing: python3.11, for Blender's Python module (bpy 5.0.1)" >&2
+    exit 1
+fi
+environment .venv/blender tests/blender/requirements.txt python3.11

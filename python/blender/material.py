@@ -5,8 +5,8 @@ The group holds the maps as they were fitted; a few math nodes turn them into wh
 
 - Specular IOR Level and Specular Tint carry the RGB reflectance at normal incidence F0: level = max(F0) / 0.08 at an IOR of 1.5,
   tint = F0 / max(F0). A level above 1 is meant; Cycles and EEVEE take it. So metals need no Metallic, which stays 0.
-- The Principled BSDF dims what lies under its specular layer by about max(F0), the model the maps are fitted with does not: Base Color is
-  the diffuse albedo divided by 1 - max(F0), at most 1.
+- Both models dim the diffuse part by what the surface reflects: ours each channel by 1 - F0, the Principled BSDF all by about
+  1 - max(F0). Base Color is the diffuse albedo times (1 - F0) / (1 - max(F0)), at most 1.
 - Two roughnesses become Roughness, Anisotropic and the Tangent: alpha = roughness^2 along and across, of which the Principled BSDF
   makes alpha / aspect and alpha * aspect with aspect^2 = 1 - 0.9 anisotropic.
 """
@@ -21,7 +21,7 @@ from . import images
 IOR = 1.5
 # Reflectance at normal incidence of that index, twice: what a level of 1 means.
 LEVEL_ONE = 2 * ((IOR - 1) / (IOR + 1)) ** 2
-# The diffuse albedo is not divided by less than this.
+# 1 - max(F0) is not taken below this.
 LEAST_REST = 0.02
 PATCH_SIZE = "svbrdf_gcn_patch_size"
 MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "normal", "tangent")
@@ -33,6 +33,9 @@ def build(material, name):
     result = bpy.data.materials.new(name)
     if bpy.app.version < (5, 0, 0):
         result.use_nodes = True
+    # The maps were fitted with their normals as they are; Cycles would bend them and darken what faces away.
+    if hasattr(result, "cycles"):
+        result.cycles.use_bump_map_correction = False
     nodes, links = result.node_tree.nodes, result.node_tree.links
     nodes.clear()
     node = nodes.new("ShaderNodeGroup")
@@ -76,8 +79,9 @@ def node_group(material, name):
     inverse = graph.math("DIVIDE", 1.0, graph.math("MAXIMUM", strongest, 1e-6))
     graph.link(graph.vector("SCALE", specular, inverse), principled.inputs["Specular Tint"])
     rest = graph.math("MAXIMUM", graph.math("SUBTRACT", 1.0, strongest), LEAST_REST)
-    undimmed = graph.vector("SCALE", diffuse, graph.math("DIVIDE", 1.0, rest))
-    graph.link(graph.vector("MINIMUM", undimmed, (1.0, 1.0, 1.0)), principled.inputs["Base Color"])
+    passed = graph.vector("MULTIPLY", diffuse, graph.vector("SUBTRACT", (1.0, 1.0, 1.0), specular))
+    base_color = graph.vector("SCALE", passed, graph.math("DIVIDE", 1.0, rest))
+    graph.link(graph.vector("MINIMUM", base_color, (1.0, 1.0, 1.0)), principled.inputs["Base Color"])
 
     graph.link(graph.normal_map(normal), principled.inputs["Normal"])
     if material.tangent is None:
@@ -152,18 +156,19 @@ def encode_vector(vectors):
 
 def losses(material):
     """What the Principled BSDF cannot hold of these maps, as sentences for the user."""
-    strongest = material.specular_albedo.max(axis=-1, keepdims=True)
-    base = material.diffuse_albedo / np.maximum(1 - strongest, LEAST_REST)
-    excess = np.maximum(base - 1, 0) * np.maximum(1 - strongest, LEAST_REST)
+    rest = np.maximum(1 - material.specular_albedo.max(axis=-1, keepdims=True), LEAST_REST)
+    passed = material.diffuse_albedo * (1 - material.specular_albedo)
+    excess = np.maximum(passed - rest, 0).max(axis=-1)
     found = []
-    if excess.max() > 1e-3:
-        share = 100 * (excess.max(axis=-1) > 1e-3).mean()
-        found.append(f"Diffuse albedo darkened by up to {excess.max():.3f} in {share:.0f} % of pixels: with its specular part it exceeds 1")
+    if (excess > 1e-3).any():
+        share = 100 * (excess > 1e-3).mean()
+        found.append(f"Diffuse light lowered by up to {excess.max():.3f} in {share:.0f} % of pixels: beside so strong a highlight a Base Color cannot hold it")
     if material.tangent is not None:
         ratio = material.roughness.min(axis=-1) / np.maximum(material.roughness.max(axis=-1), 1e-6)
-        if (ratio**2 < 0.1).any():
-            found.append(f"Anisotropy weakened in {100 * (ratio**2 < 0.1).mean():.0f} % of pixels: the roughnesses differ by more than a factor of 3.2")
-    found.append("At grazing angles the Principled BSDF dims the diffuse part under its highlight; the fitted model does not")
+        weakened = ratio**2 < 0.1
+        if weakened.any():
+            found.append(f"Anisotropy weakened in {100 * weakened.mean():.0f} % of pixels: the roughnesses differ by more than a factor of 3.2")
+    found.append("At grazing angles the Principled BSDF dims the diffuse part as its highlight grows; the fitted model does not")
     return found
 
 

@@ -40,7 +40,7 @@ def expected(**changes):
 
 
 def test_blenders_own_tool_accepts_the_package(addon_zip):
-    tool = Path(bpy.__file__).parent / bpy.app.version_string.rpartition(".")[0] / "scripts/addons_core/bl_pkg/cli/blender_ext.py"
+    tool = Path(bpy.utils.resource_path("LOCAL")) / "scripts/addons_core/bl_pkg/cli/blender_ext.py"
     checked = subprocess.run([sys.executable, tool, "validate", addon_zip], capture_output=True, text=True)
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
@@ -169,6 +169,7 @@ def operators(addon):
 
 
 def test_the_modal_loop_shows_progress_and_ends(scene, operators):
+    scene.svbrdf_gcn.direct_steps = 500
     modal = Modal(operators, bpy.context)
     assert scene.svbrdf_gcn.running and not bpy.ops.svbrdf_gcn.fit_material.poll()
     assert modal.send("MOUSEMOVE") == {"PASS_THROUGH"}
@@ -179,7 +180,7 @@ def test_the_modal_loop_shows_progress_and_ends(scene, operators):
     assert state == {"FINISHED"}
     assert any(status.startswith("direct ") and "loss" in status for status in seen), seen
     assert modal.reports[0] == ("TIMER", "removed") and modal.reports[-1] == ("INFO", "Fitted tiles")
-    np.testing.assert_array_equal(maps_of(fitted(scene)).roughness, expected().roughness)
+    np.testing.assert_array_equal(maps_of(fitted(scene)).roughness, expected(direct_steps=500).roughness)
 
 
 def test_escape_stops_it_and_another_fit_follows(scene, operators):
@@ -237,7 +238,7 @@ def cycles(surface, size, patch_size):
     scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
     scene.cycles.light_sampling_threshold = 0.0
     patch = bpy.context.view_layer.objects.active
-    patch.scale = (patch_size / 2, patch_size / 2, 1)
+    patch.scale = [patch_size / 2] * 3
     patch.active_material = surface
     patch.select_set(True)
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -269,7 +270,12 @@ def compare(scene, material):
     from bl_ext.user_default.svbrdf_gcn import material as nodes
 
     size = material.width
-    got = cycles(nodes.build(material, "test"), size, material.patch_size)
+    surface = nodes.build(material, "test")
+    # A baked pixel collects from all over its square: without this it would see its neighbours.
+    for node in nodes.fitted_group(surface).nodes:
+        if node.type == "TEX_IMAGE":
+            node.interpolation = "Closest"
+    got = cycles(surface, size, material.patch_size)
     want = material.render(camera=CAMERA, light=LIGHT, light_intensity=INTENSITY)
     return (got / want - 1).mean(-1)
 
@@ -293,26 +299,51 @@ def uniform(size=32, tilt=(0.0, 0.0), diffuse=(0.5, 0.3, 0.2), specular=(0.0, 0.
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)])
 def test_a_lambertian_material_looks_the_same_in_cycles(scene, tilt):
-    """A tilt to +x and to +y, because a flipped axis would go unseen on a flat patch."""
+    """A tilt to +x and to +y, because a flipped axis would go unseen on a flat patch. Measured: 0.4 %, the noise of the bake."""
     assert np.abs(compare(scene, uniform(tilt=tilt))).max() < 0.02
 
 
-def test_a_metal_looks_the_same_in_cycles(scene):
-    """No diffuse part: what is left is the lobe. Our masking is Schlick's approximation, Cycles' is exact Smith: 2 % at most here."""
-    metal = uniform(diffuse=(0, 0, 0), specular=(0.9, 0.6, 0.3), roughness=0.45)
-    assert np.abs(compare(scene, metal)).max() < 0.04
+# The difference that is left is the masking: ours is Schlick's approximation (k = alpha / 2), Cycles' is Smith's.
+@pytest.mark.parametrize(
+    ("surface", "most"),
+    [
+        # Metal: only the lobe. Measured: -0.1 to 2.5 %.
+        ({"diffuse": (0, 0, 0), "specular": (0.9, 0.6, 0.3), "roughness": 0.45}, 0.04),
+        # Dielectric. Both models dim the diffuse part by what the surface reflects. Measured: 0.5 %.
+        ({"specular": (0.04, 0.04, 0.04), "roughness": 0.4}, 0.015),
+        # A narrow lobe changes within a pixel. Measured: -1.7 to 3.5 %.
+        ({"specular": (0.04, 0.04, 0.04), "roughness": 0.2}, 0.05),
+        # Coloured, strong, with a diffuse part. Measured: -0.5 to 1.2 %.
+        ({"specular": (0.6, 0.1, 0.02), "diffuse": (0.1, 0.3, 0.4), "roughness": 0.35}, 0.025),
+        # Leaning by 28 degrees. Measured: -2.1 to 0.8 %.
+        ({"specular": (0.04, 0.04, 0.04), "roughness": 0.4, "tilt": (0.5, 0.2)}, 0.035),
+    ],
+)
+def test_a_glossy_material_in_cycles(scene, surface, most):
+    assert np.abs(compare(scene, uniform(**surface))).max() < most
 
 
-def test_a_glossy_dielectric_in_cycles(scene):
-    """The Principled BSDF dims the diffuse part by what the specular layer reflects; Base Color makes up for it at normal incidence."""
-    glossy = uniform(specular=(0.04, 0.04, 0.04), roughness=0.4)
-    assert np.abs(compare(scene, glossy)).max() < 0.04
+@pytest.mark.parametrize("roughness", [(0.5, 0.3), (0.3, 0.5)])
+def test_an_anisotropic_material_in_cycles(scene, roughness):
+    """Brushed at 40 degrees, either way round. Measured: -1.1 to 1.8 %."""
+    import svbrdf_gcn
+
+    plain = uniform(diffuse=(0.2, 0.2, 0.2), specular=(0.3, 0.3, 0.3))
+    tangent = np.broadcast_to(np.float32([math.cos(0.7), math.sin(0.7), 0]), plain.normal.shape)
+    brushed = svbrdf_gcn.Material(
+        plain.diffuse_albedo,
+        plain.specular_albedo,
+        np.broadcast_to(np.float32(roughness), (*plain.normal.shape[:2], 2)),
+        plain.normal,
+        tangent,
+        patch_size=plain.patch_size,
+    )
+    assert np.abs(compare(scene, brushed)).max() < 0.03
 
 
 def test_the_fitted_sample_in_cycles(scene):
     """The fitted tiles: a pattern, so that a flipped or shifted texture would show."""
     assert run() == {"FINISHED"}
-    material = maps_of(fitted(scene))
-    difference = compare(scene, material)
-    assert np.median(np.abs(difference)) < 0.04
-    assert np.mean(np.abs(difference) < 0.15) > 0.95
+    difference = np.abs(compare(scene, maps_of(fitted(scene))))
+    assert np.median(difference) < 0.02
+    assert np.mean(difference < 0.1) > 0.97
