@@ -139,6 +139,12 @@ def photograph(maps, geometry, rng, noise_rng):
     position = torch.cat([x, y, z], 1)
     radiance = render(maps, position, stated.camera + moved, stated.light + lamp, stated.intensity * power)
 
+    # Whoever takes the photos exposes so that at most a fifth of the picture is saturated, mostly.
+    bright = torch.quantile(radiance[..., ::4, ::4].amax(2).flatten(1), 0.8, dim=1)
+    darker = torch.where(uniform(0, 1) < 0.9, bright.clamp_min(1).reciprocal(), torch.ones_like(bright))[:, None, None]
+    radiance = radiance * darker[..., None, None]
+    stated = Geometry(stated.camera, stated.light, stated.intensity * darker, stated.position)
+
     # Vignetting of lens and lamp grows with the distance from the centre of the capture.
     radius2 = (x * x + y * y)[:, None] / 2
     fade = uniform(0, 0.25, 1, 1, 1, 1) * (uniform(0, 1, 1, 1, 1, 1) < 0.5)
@@ -168,6 +174,9 @@ def photograph(maps, geometry, rng, noise_rng):
     radiance = radiance + noise * (shot * shot * radiance.clamp(0, 1) + read * read).sqrt()
     pictures = (encode_radiance(radiance.clamp_min(0)).clamp(0, 1) * 255).round() / 255
     saturated = (pictures.amax(2, keepdim=True) >= 1).to(pictures.dtype)
+    # In a photo made smaller, pixels count as saturated that are so in part.
+    wider = functional.max_pool2d(saturated.flatten(0, 1), 3, 1, 1).reshape(saturated.shape)
+    saturated = torch.where(uniform(0, 1, 1, 1, 1, 1) < 0.3, wider, saturated)
     return Capture(pictures, saturated, stated, maps)
 
 

@@ -16,6 +16,9 @@ METALS = (
     (0.54, 0.5, 0.45), (0.55, 0.56, 0.56), (0.89, 0.79, 0.43), (0.66, 0.61, 0.53), (0.71, 0.51, 0.29),
 )  # fmt: skip
 
+# Most Voronoi cells along a side.
+CELLS_MAX = 64
+
 
 class Draw:
     """Random values and fields for `count` textures of `size` pixels a side, from one generator."""
@@ -66,12 +69,11 @@ class Draw:
         return tuple(amount * self.noise(2.5, coarse, 0.1) for _ in range(2))
 
     def cells(self, x, y, across, down, jitter=1.0):
-        """Voronoi cells around one jittered point in each field of an `across` x `down` grid.
+        """Voronoi cells around one jittered point in each field of an `across` x `down` grid, at most `CELLS_MAX` either way.
 
         Returns distances to the nearest and second nearest point (in fields), the vector from the nearest, and three random values per cell.
         """
-        most = int(max(across.max(), down.max()))
-        table = torch.rand(self.count, 5, most * most, generator=self.generator, device=self.device)
+        table = torch.rand(self.count, 5, CELLS_MAX**2, generator=self.generator, device=self.device)
         u, v = x * across, y * down
         near = torch.full_like(u, 9.0)
         second, dx, dy = near.clone(), torch.zeros_like(u), torch.zeros_like(u)
@@ -79,7 +81,7 @@ class Draw:
         for j in (-1, 0, 1):
             for i in (-1, 0, 1):
                 column, row = u.floor() + i, v.floor() + j
-                cell = (row.remainder(down) * most + column.remainder(across)).long()
+                cell = (row.remainder(down) * CELLS_MAX + column.remainder(across)).long()
                 flat = cell.flatten(2).expand(-1, 2, -1)
                 offset = torch.gather(table[:, :2], 2, flat).reshape(self.count, 2, *u.shape[-2:])
                 ox, oy = (0.5 + jitter * (offset[:, k : k + 1] - 0.5) for k in (0, 1))

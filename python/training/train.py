@@ -186,11 +186,9 @@ def main(arguments=None):
         flush=True,
     )
 
-    log = open(options.output / "log.jsonl", "a", encoding="utf-8")
-
     def write(entry):
-        log.write(json.dumps(entry) + "\n")
-        log.flush()
+        with open(options.output / "log.jsonl", "a", encoding="utf-8") as log:
+            log.write(json.dumps(entry) + "\n")
 
     def check():
         results = validate(trainer.averaged(), validation, config["validation"])
@@ -208,7 +206,7 @@ def main(arguments=None):
         mark = now
         sums = {name: sums.get(name, 0) + value for name, value in measured.items()}
         count += 1
-        if count == config["log_steps"] or trainer.step == 1:
+        if count == config["log_steps"] or trainer.step == 1 or trainer.progress >= 1:
             means = {name: round(float(value) / count, 5) for name, value in sums.items()}
             mark = time.monotonic()
             trainer.seconds += mark - now

@@ -84,6 +84,21 @@ def test_every_parameter_has_a_gradient(network):
     assert missing == []
 
 
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+def test_half_precision_stays_near(network, layout):
+    """As on a GPU: bfloat16 up to the tail, either memory layout."""
+    network.float().to(memory_format=layout)
+    network.memory_format = layout
+    x = inputs(3).float()
+    plain, _ = network(x, None)
+    with torch.autocast("cpu", torch.bfloat16):
+        raw, log_sigma = network(x, None)
+    assert raw.dtype == log_sigma.dtype == torch.float32
+    assert (raw - plain).abs().mean() < 0.1 * plain.std()
+    (raw.square().mean() + log_sigma.mean()).backward()
+    assert all(torch.isfinite(parameter.grad).all() for parameter in network.parameters())
+
+
 def test_the_default_network_is_small():
     parameters, multiply_adds = model.cost(model.DEFAULT)
     assert parameters <= 4_000_000
