@@ -168,7 +168,10 @@ def main(arguments=None):
     begin = time.monotonic()
     stopped = []
     signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
-    config = configuration.load(options.config, options.set)
+    try:
+        config = configuration.load(options.config, options.set)
+    except (OSError, ValueError) as error:
+        raise SystemExit(f"{options.config}: {error}") from error
     device = torch.device(options.device)
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
     torch.backends.cudnn.benchmark = True
