@@ -209,10 +209,23 @@ impl<'py> ImageArray<'py> {
         owner: &Arc<T>,
         image: impl FnOnce(&T) -> &Image,
     ) -> PyResult<Self> {
-        let image = image(owner);
+        Self::part(py, owner.clone(), image(owner))
+    }
+
+    /// A read-only view of an image that `owner` may have.
+    pub fn view_of_some<T: Send + Sync + 'static>(
+        py: Python<'py>,
+        owner: &Arc<T>,
+        image: impl FnOnce(&T) -> Option<&Image>,
+    ) -> PyResult<Option<Self>> {
+        image(owner).map(|image| Self::part(py, owner.clone(), image)).transpose()
+    }
+
+    /// A view of `image`, which is a part of `owner`: the two functions above see to that.
+    fn part(py: Python<'py>, owner: Arc<dyn Send + Sync>, image: &Image) -> PyResult<Self> {
         let shape = (image.height(), image.width(), image.channels());
         let address = image.data().as_ptr().expose_provenance();
-        asarray(Bound::new(py, View { _owner: owner.clone(), shape, address })?.as_any()).map(Self)
+        asarray(Bound::new(py, View { _owner: owner, shape, address })?.as_any()).map(Self)
     }
 
     /// An array of the caller's own.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString, PyTuple};
-use svbrdf_gcn::{Capture, CaptureOptions, PhotoPixels, Shot, Transfer};
+use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer};
 
 use crate::arrays::{ImageArray, Pixels, Triples, asarray, intensities, shape_of, triples, tuple};
 use crate::errors::{argument, detached, format, shape};
@@ -18,6 +18,7 @@ pub struct Reading {
     pub size: Option<i128>,
     pub views: Option<Vec<i128>>,
     pub transfer: Option<String>,
+    pub color_space: Option<String>,
 }
 
 impl Reading {
@@ -26,13 +27,19 @@ impl Reading {
         options.size = maybe_count("size", self.size)?;
         options.views = self.views.as_deref().map(|views| counts("views", views)).transpose()?;
         options.transfer = self.transfer.as_deref().map(transfer).transpose()?;
+        options.color_space = self.color_space.as_deref().map(color_space).transpose()?;
         Ok(options)
     }
 
     fn given(&self) -> Option<&'static str> {
-        [("size", self.size.is_some()), ("views", self.views.is_some()), ("transfer", self.transfer.is_some())]
-            .into_iter()
-            .find_map(|(name, given)| given.then_some(name))
+        [
+            ("size", self.size.is_some()),
+            ("views", self.views.is_some()),
+            ("transfer", self.transfer.is_some()),
+            ("color_space", self.color_space.is_some()),
+        ]
+        .into_iter()
+        .find_map(|(name, given)| given.then_some(name))
     }
 }
 
@@ -168,7 +175,11 @@ fn path(object: &Bound<'_, PyAny>) -> PyResult<Option<PathBuf>> {
 }
 
 fn transfer(name: &str) -> PyResult<Transfer> {
-    choice("transfer", name, &[Transfer::Srgb, Transfer::Gamma22, Transfer::Linear], |transfer| transfer.name())
+    choice("transfer", name, &[Transfer::Srgb, Transfer::Gamma22, Transfer::Linear], Transfer::name)
+}
+
+pub fn color_space(name: &str) -> PyResult<ColorSpace> {
+    choice("color_space", name, &[ColorSpace::Rec709, ColorSpace::AcesCg], ColorSpace::name)
 }
 
 /// Photos of one nearly flat sample, and where camera and light stood for each.
@@ -198,6 +209,8 @@ fn transfer(name: &str) -> PyResult<Transfer> {
 ///     Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
 /// views : sequence of int, optional
 ///     The photos to take, counted from 0.
+/// color_space : {"rec709", "acescg"}, optional
+///     Colour space of linear photos and of `light_intensity`, Rec. 709 if not given. Everything is computed in Rec. 709.
 ///
 /// Raises
 /// ------
@@ -224,7 +237,7 @@ pub struct PyCapture(pub Arc<Capture>);
 impl PyCapture {
     #[new]
     #[pyo3(signature = (photos, *, camera_positions, patch_size, light_intensity, transfer, light_positions = None,
-        white_level = None, size = None, views = None))]
+        white_level = None, size = None, views = None, color_space = None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn new<'py>(
         photos: Photos<'py>,
@@ -236,6 +249,7 @@ impl PyCapture {
         white_level: Option<f32>,
         size: Option<i128>,
         views: Option<Vec<i128>>,
+        color_space: Option<String>,
     ) -> PyResult<Self> {
         let setup = Setup {
             camera_positions: Some(camera_positions),
@@ -244,7 +258,7 @@ impl PyCapture {
             light_intensity: Some(light_intensity),
             white_level,
         };
-        from_photos(&photos.0, &setup, &Reading { size, views, transfer: Some(transfer) }).map(Self)
+        from_photos(&photos.0, &setup, &Reading { size, views, transfer: Some(transfer), color_space }).map(Self)
     }
 
     /// Read a capture: its folder or its JSON file.
@@ -261,6 +275,8 @@ impl PyCapture {
     ///     The photos to take, counted from 0; no others are opened.
     /// transfer : {"srgb", "gamma2.2", "linear"}, optional
     ///     Replaces what the capture states.
+    /// color_space : {"rec709", "acescg"}, optional
+    ///     Replaces what the capture states for linear photos.
     ///
     /// Returns
     /// -------
@@ -277,15 +293,16 @@ impl PyCapture {
     /// <svbrdf_gcn.Capture: 2 photos of 64 x 64 pixels, patch 10 wide, transfer srgb>
     #[staticmethod]
     #[pyo3(signature = (path, *, size = None,
-        views = None, transfer = None))]
+        views = None, transfer = None, color_space = None))]
     fn open(
         py: Python<'_>,
         path: PathBuf,
         size: Option<i128>,
         views: Option<Vec<i128>>,
         transfer: Option<String>,
+        color_space: Option<String>,
     ) -> PyResult<Self> {
-        open(py, &path, &Reading { size, views, transfer }).map(Self)
+        open(py, &path, &Reading { size, views, transfer, color_space }).map(Self)
     }
 
     /// The capture with only some of its photos.

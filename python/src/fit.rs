@@ -165,7 +165,7 @@ impl PyModel {
 ///     `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
 /// camera_positions, light_positions, patch_size, light_intensity, white_level : optional
 ///     See ``Capture``.
-/// transfer, size, views : optional
+/// transfer, color_space, size, views : optional
 ///     See ``Capture`` and ``Capture.open``.
 /// preset : {"draft", "balanced", "high"}
 ///     How much time to spend.
@@ -216,7 +216,7 @@ impl PyModel {
 /// ((32, 32, 1), 'direct')
 #[pyfunction]
 #[pyo3(name = "fit_material", signature = (capture_or_photos, *, camera_positions = None, light_positions = None,
-    patch_size = None, light_intensity = None, transfer = None, size = None, views = None, white_level = None,
+    patch_size = None, light_intensity = None, transfer = None, color_space = None, size = None, views = None, white_level = None,
     preset = "balanced", method = "auto", weights = None, latent_steps = None, adapter_steps = None, direct_steps = None,
     max_memory = None, seed = 0, threads = None, early_stop = None, progress = None, cancel = None))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -228,6 +228,7 @@ pub fn py_fit_material<'py>(
     patch_size: Option<f64>,
     light_intensity: Option<ArrayLike<'py>>,
     transfer: Option<String>,
+    color_space: Option<String>,
     size: Option<i128>,
     views: Option<Vec<i128>>,
     white_level: Option<f32>,
@@ -257,7 +258,7 @@ pub fn py_fit_material<'py>(
         options.cancel = token.get().0.clone();
     }
     let setup = Setup { camera_positions, light_positions, patch_size, light_intensity, white_level };
-    let capture = capture(py, &capture_or_photos, &setup, &Reading { size, views, transfer })?;
+    let capture = capture(py, &capture_or_photos, &setup, &Reading { size, views, transfer, color_space })?;
     let model = weights.map(|weights| model(py, &weights, &capture)).transpose()?;
 
     let mut reports = Reports { callback: progress, next: Instant::now(), raised: None };

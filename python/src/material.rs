@@ -6,18 +6,20 @@ use std::sync::Arc;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use serde_json::Value;
+use svbrdf_gcn::export::principled::Principled;
 use svbrdf_gcn::fit::Fit;
 use svbrdf_gcn::io::material::{
     LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_report,
 };
 use svbrdf_gcn::io::preview::material_png;
 use svbrdf_gcn::metrics::MapErrors;
-use svbrdf_gcn::{Capture, Image, Material, Shot, metrics, render};
+use svbrdf_gcn::{Capture, ExportOptions, ExportTarget, Material, NormalConvention, Shot, metrics, render};
 
 use crate::arrays::{ImageArray, image, intensities, triple};
-use crate::errors::{argument, detached};
+use crate::capture;
+use crate::errors::detached;
 use crate::options::{choice, maybe_count};
-use crate::types::{ArrayLike, Json};
+use crate::types::{ArrayLike, Json, json_error};
 
 /// The maps of a material.
 ///
@@ -61,12 +63,8 @@ pub struct PyMaterial {
 
 impl PyMaterial {
     pub fn fitted(fit: Fit, capture: &Capture) -> PyResult<Self> {
-        let report = serde_json::to_value(&fit.report).map_err(|error| argument("report", error))?;
+        let report = serde_json::to_value(&fit.report).map_err(json_error)?;
         Ok(Self { material: Arc::new(fit.material), report, unit: capture.unit().map(ToOwned::to_owned) })
-    }
-
-    fn view<'py>(&self, py: Python<'py>, map: fn(&Material) -> &Image) -> PyResult<ImageArray<'py>> {
-        ImageArray::view(py, &self.material, map)
     }
 }
 
@@ -148,6 +146,8 @@ impl PyMaterial {
     /// folder : str or os.PathLike
     /// format : {"exr", "png16", "tiff"}
     ///     OpenEXR with half floats, PNG with 16 bits, or TIFF with single floats.
+    /// color_space : {"rec709", "acescg"}
+    ///     Colour space of the albedos written.
     ///
     /// Raises
     /// ------
@@ -162,13 +162,82 @@ impl PyMaterial {
     /// ...     material.save(folder, format="tiff")
     /// ...     svbrdf_gcn.Material.load(folder)
     /// <svbrdf_gcn.Material: 256 x 256 pixels, isotropic, patch 10 wide>
-    #[pyo3(signature = (folder, *, format = "exr"))]
-    fn save(&self, py: Python<'_>, folder: PathBuf, format: &str) -> PyResult<()> {
+    #[pyo3(signature = (folder, *, format = "exr", color_space = "rec709"))]
+    fn save(&self, py: Python<'_>, folder: PathBuf, format: &str, color_space: &str) -> PyResult<()> {
         let formats = [MaterialFormat::Exr, MaterialFormat::Png16, MaterialFormat::Tiff];
         let mut options = SaveOptions::new(choice("format", format, &formats, format_name)?);
+        options.color_space = capture::color_space(color_space)?;
         options.unit.clone_from(&self.unit);
         options.report = (!self.report.is_null()).then(|| self.report.clone());
         detached(py, || self.material.save(folder, &options))
+    }
+
+    /// Write the material for another program.
+    ///
+    /// ``docs/exports.md`` describes the files.
+    ///
+    /// Parameters
+    /// ----------
+    /// folder : str or os.PathLike
+    ///     Made if it is not there.
+    /// to : {"materialx", "gltf", "principled", "unreal"}
+    ///     MaterialX with an OpenPBR surface, glTF with KHR_materials_specular, maps for Blender's Principled BSDF, or
+    ///     maps for Unreal.
+    /// name : str
+    ///     What the material is called: letters, digits and underscores, a letter first.
+    /// normals : {"opengl", "directx"}, optional
+    ///     Whether green points up or down; what the program expects if not given.
+    ///
+    /// Returns
+    /// -------
+    /// dict
+    ///     The files written, and what the program cannot hold of the material; also in ``export.json``.
+    ///
+    /// Raises
+    /// ------
+    /// ArgumentError
+    ///     For another program or name, and normals that the program does not take.
+    /// OSError
+    ///     If a file cannot be written.
+    ///
+    /// Examples
+    /// --------
+    /// >>> import tempfile
+    /// >>> material = svbrdf_gcn.Material.load("samples/lambert/truth")
+    /// >>> with tempfile.TemporaryDirectory() as folder:
+    /// ...     report = material.export(folder, to="unreal", name="Wall")
+    /// >>> report["target"], report["normals"]
+    /// ('unreal', 'directx')
+    #[pyo3(signature = (folder, *, to, name = "material", normals = None))]
+    fn export<'py>(
+        &self,
+        py: Python<'py>,
+        folder: PathBuf,
+        to: &str,
+        name: &str,
+        normals: Option<&str>,
+    ) -> PyResult<Json<'py>> {
+        let mut options = ExportOptions::new(choice("to", to, &ExportTarget::ALL, ExportTarget::name)?).name(name);
+        let conventions = [NormalConvention::OpenGl, NormalConvention::DirectX];
+        options.normals =
+            normals.map(|name| choice("normals", name, &conventions, NormalConvention::name)).transpose()?;
+        let report = detached(py, || self.material.export(folder, &options))?;
+        Json::of(py, &report)
+    }
+
+    /// The material as Blender's Principled BSDF has it.
+    ///
+    /// Returns
+    /// -------
+    /// Principled
+    ///
+    /// Examples
+    /// --------
+    /// >>> principled = svbrdf_gcn.Material.load("samples/lambert/truth").principled()
+    /// >>> principled.base_color.shape, principled.metallic.shape
+    /// ((64, 64, 3), (64, 64, 1))
+    fn principled(&self, py: Python<'_>) -> PyResult<PyPrincipled> {
+        detached(py, || Principled::from_material(&self.material)).map(|principled| PyPrincipled(Arc::new(principled)))
     }
 
     /// Photo of the material under one camera and one light.
@@ -230,33 +299,31 @@ impl PyMaterial {
     /// Diffuse albedo: linear RGB from 0 to 1, a read-only array of shape (H, W, 3).
     #[getter]
     fn diffuse_albedo<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
-        self.view(py, |material| &material.diffuse_albedo)
+        ImageArray::view(py, &self.material, |material| &material.diffuse_albedo)
     }
 
     /// Specular albedo (reflectance at normal incidence, F0): linear RGB from 0 to 1, a read-only array of shape (H, W, 3).
     #[getter]
     fn specular_albedo<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
-        self.view(py, |material| &material.specular_albedo)
+        ImageArray::view(py, &self.material, |material| &material.specular_albedo)
     }
 
     /// Perceptual roughness from 0 to 1: a read-only array of shape (H, W, 1), or (H, W, 2) if anisotropic.
     #[getter]
     fn roughness<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
-        self.view(py, |material| &material.roughness)
+        ImageArray::view(py, &self.material, |material| &material.roughness)
     }
 
     /// Unit normals, +x right, +y up, +z out of the surface: a read-only array of shape (H, W, 3).
     #[getter]
     fn normal<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
-        self.view(py, |material| &material.normal)
+        ImageArray::view(py, &self.material, |material| &material.normal)
     }
 
     /// Unit tangents of an anisotropic material, a read-only array of shape (H, W, 3); else None.
     #[getter]
     fn tangent<'py>(&self, py: Python<'py>) -> PyResult<Option<ImageArray<'py>>> {
-        let isotropic = self.material.tangent.is_none();
-        let tangent = || self.view(py, |material| material.tangent.as_ref().unwrap_or(&material.normal));
-        if isotropic { Ok(None) } else { tangent().map(Some) }
+        ImageArray::view_of_some(py, &self.material, |material| material.tangent.as_ref())
     }
 
     /// Width of the maps in the unit of the capture.
@@ -300,6 +367,81 @@ impl PyMaterial {
         let lobe = if material.tangent.is_some() { "anisotropic" } else { "isotropic" };
         let (width, height) = (material.width(), material.height());
         format!("<svbrdf_gcn.Material: {width} x {height} pixels, {lobe}, patch {} wide>", material.patch_size)
+    }
+}
+
+/// The maps of a metallic surface under a dielectric coat that reflects, at normal incidence, what a material does.
+///
+/// The sockets of Blender's Principled BSDF; ``Material.principled`` makes it. Arrays are read-only views, as those of ``Material``.
+///
+/// Examples
+/// --------
+/// >>> principled = svbrdf_gcn.Material.load("samples/tiles/truth").principled()
+/// >>> sorted(principled.loss)
+/// ['diffuse', 'specular']
+#[pyclass(frozen, name = "Principled", module = "svbrdf_gcn")]
+pub struct PyPrincipled(Arc<Principled>);
+
+#[pymethods]
+impl PyPrincipled {
+    /// Base Color: linear RGB from 0 to 1, shape (H, W, 3).
+    #[getter]
+    fn base_color<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        ImageArray::view(py, &self.0, |maps| &maps.base_color)
+    }
+
+    /// Metallic, from 0 to 1, shape (H, W, 1).
+    #[getter]
+    fn metallic<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        ImageArray::view(py, &self.0, |maps| &maps.metallic)
+    }
+
+    /// Roughness, from 0 to 1, shape (H, W, 1).
+    #[getter]
+    fn roughness<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        ImageArray::view(py, &self.0, |maps| &maps.roughness)
+    }
+
+    /// Specular IOR Level, from 0 to 1, shape (H, W, 1).
+    #[getter]
+    fn specular_level<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        ImageArray::view(py, &self.0, |maps| &maps.specular_level)
+    }
+
+    /// Specular Tint: linear RGB from 0 to 1, shape (H, W, 3).
+    #[getter]
+    fn specular_tint<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        ImageArray::view(py, &self.0, |maps| &maps.specular_tint)
+    }
+
+    /// Anisotropic, from 0 to 1, shape (H, W, 1); None for an isotropic material.
+    #[getter]
+    fn anisotropic<'py>(&self, py: Python<'py>) -> PyResult<Option<ImageArray<'py>>> {
+        ImageArray::view_of_some(py, &self.0, |maps| maps.anisotropy.as_ref().map(|anisotropy| &anisotropy.amount))
+    }
+
+    /// Anisotropic Rotation: turns of the direction of the greater roughness, counter-clockwise from +x, shape (H, W, 1).
+    #[getter]
+    fn anisotropic_rotation<'py>(&self, py: Python<'py>) -> PyResult<Option<ImageArray<'py>>> {
+        ImageArray::view_of_some(py, &self.0, |maps| maps.anisotropy.as_ref().map(|anisotropy| &anisotropy.rotation))
+    }
+
+    /// Unit normals, +x right, +y up, +z out of the surface, shape (H, W, 3).
+    #[getter]
+    fn normal<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        ImageArray::view(py, &self.0, |maps| &maps.normal)
+    }
+
+    /// IOR of the whole material.
+    #[getter]
+    fn ior(&self) -> f64 {
+        self.0.ior
+    }
+
+    /// How far diffuse and specular reflectance at normal incidence are from the material's: mean and max of each.
+    #[getter]
+    fn loss<'py>(&self, py: Python<'py>) -> PyResult<Json<'py>> {
+        Json::of(py, &self.0.loss)
     }
 }
 
@@ -371,5 +513,5 @@ pub fn map_errors<'py>(
 ) -> PyResult<Json<'py>> {
     let (material, truth) = (material.get(), truth.get());
     let errors = detached(py, || MapErrors::between(&material.material, &truth.material))?;
-    Json::new(py, &serde_json::to_value(errors).map_err(|error| argument("material", error))?)
+    Json::of(py, &errors)
 }

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 use std::ops::Deref;
 use std::path::PathBuf;
 
-use pyo3::exceptions::PyTypeError;
+use pyo3::exceptions::{PyRuntimeError, PyTypeError};
 use pyo3::inspect::PyStaticExpr;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -90,6 +90,11 @@ impl<'py> FromPyObject<'_, 'py> for Callback {
 pub struct Json<'py>(pub Bound<'py, PyDict>);
 
 impl<'py> Json<'py> {
+    /// What serialises as an object.
+    pub fn of(py: Python<'py>, value: &impl serde::Serialize) -> PyResult<Self> {
+        Self::new(py, &serde_json::to_value(value).map_err(json_error)?)
+    }
+
     /// A value of the core; an empty dictionary for null.
     pub fn new(py: Python<'py>, value: &serde_json::Value) -> PyResult<Self> {
         if value.is_null() {
@@ -97,6 +102,11 @@ impl<'py> Json<'py> {
         }
         Ok(Self(py.import("json")?.call_method1("loads", (value.to_string(),))?.cast_into()?))
     }
+}
+
+/// Only a bug keeps a report from being written as JSON.
+pub fn json_error(error: serde_json::Error) -> PyErr {
+    PyRuntimeError::new_err(format!("a bug in svbrdf_gcn, please report it: {error}"))
 }
 
 impl<'py> IntoPyObject<'py> for Json<'py> {

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from os import PathLike
 from typing import Any, Final, SupportsFloat, SupportsIndex, final
 
-__all__ = ["__version__", "CancelToken", "Capture", "Material", "Model", "Progress", "command_line", "fit_material", "map_errors", "photo_rmse"]
+__all__ = ["__version__", "CancelToken", "Capture", "Material", "Model", "Principled", "Progress", "command_line", "fit_material", "map_errors", "photo_rmse"]
 
 __version__: Final[str]
 
@@ -79,6 +79,8 @@ class Capture:
         Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
     views : sequence of int, optional
         The photos to take, counted from 0.
+    color_space : {"rec709", "acescg"}, optional
+        Colour space of linear photos and of `light_intensity`, Rec. 709 if not given. Everything is computed in Rec. 709.
 
     Raises
     ------
@@ -100,7 +102,7 @@ class Capture:
     <svbrdf_gcn.Capture: 2 photos of 6 x 4 pixels, patch 10 wide, transfer srgb>
     """
     def __len__(self, /) -> int: ...
-    def __new__(cls, /, photos: ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None) -> Capture: ...
+    def __new__(cls, /, photos: ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, color_space: str | None = None) -> Capture: ...
     def __repr__(self, /) -> str: ...
     @property
     def camera_positions(self, /) -> NDArray[float64]:
@@ -128,7 +130,7 @@ class Capture:
         Names of the photos: their files', or ``photos[0]`` and so on.
         """
     @staticmethod
-    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, transfer: str | None = None) -> Capture:
+    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None) -> Capture:
         """
         Read a capture: its folder or its JSON file.
 
@@ -144,6 +146,8 @@ class Capture:
             The photos to take, counted from 0; no others are opened.
         transfer : {"srgb", "gamma2.2", "linear"}, optional
             Replaces what the capture states.
+        color_space : {"rec709", "acescg"}, optional
+            Replaces what the capture states for linear photos.
 
         Returns
         -------
@@ -262,6 +266,45 @@ class Material:
         """
         Diffuse albedo: linear RGB from 0 to 1, a read-only array of shape (H, W, 3).
         """
+    def export(self, /, folder: str | PathLike[str], *, to: str, name: str = "material", normals: str | None = None) -> dict[str, Any]:
+        """
+        Write the material for another program.
+
+        ``docs/exports.md`` describes the files.
+
+        Parameters
+        ----------
+        folder : str or os.PathLike
+            Made if it is not there.
+        to : {"materialx", "gltf", "principled", "unreal"}
+            MaterialX with an OpenPBR surface, glTF with KHR_materials_specular, maps for Blender's Principled BSDF, or
+            maps for Unreal.
+        name : str
+            What the material is called: letters, digits and underscores, a letter first.
+        normals : {"opengl", "directx"}, optional
+            Whether green points up or down; what the program expects if not given.
+
+        Returns
+        -------
+        dict
+            The files written, and what the program cannot hold of the material; also in ``export.json``.
+
+        Raises
+        ------
+        ArgumentError
+            For another program or name, and normals that the program does not take.
+        OSError
+            If a file cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> material = svbrdf_gcn.Material.load("samples/lambert/truth")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     report = material.export(folder, to="unreal", name="Wall")
+        >>> report["target"], report["normals"]
+        ('unreal', 'directx')
+        """
     @property
     def height(self, /) -> int:
         """
@@ -309,6 +352,20 @@ class Material:
         """
         Width of the maps in the unit of the capture.
         """
+    def principled(self, /) -> Principled:
+        """
+        The material as Blender's Principled BSDF has it.
+
+        Returns
+        -------
+        Principled
+
+        Examples
+        --------
+        >>> principled = svbrdf_gcn.Material.load("samples/lambert/truth").principled()
+        >>> principled.base_color.shape, principled.metallic.shape
+        ((64, 64, 3), (64, 64, 1))
+        """
     def render(self, /, camera: ArrayLike, light: ArrayLike, light_intensity: ArrayLike | None = None, *, size: SupportsIndex | None = None) -> NDArray[float32]:
         """
         Photo of the material under one camera and one light.
@@ -355,7 +412,7 @@ class Material:
         """
         Perceptual roughness from 0 to 1: a read-only array of shape (H, W, 1), or (H, W, 2) if anisotropic.
         """
-    def save(self, /, folder: str | PathLike[str], *, format: str = "exr") -> None:
+    def save(self, /, folder: str | PathLike[str], *, format: str = "exr", color_space: str = "rec709") -> None:
         """
         Write the maps and ``material.json`` to a folder, which is made if it is not there.
 
@@ -366,6 +423,8 @@ class Material:
         folder : str or os.PathLike
         format : {"exr", "png16", "tiff"}
             OpenEXR with half floats, PNG with 16 bits, or TIFF with single floats.
+        color_space : {"rec709", "acescg"}
+            Colour space of the albedos written.
 
         Raises
         ------
@@ -457,6 +516,70 @@ class Model:
         """
 
 @final
+class Principled:
+    """
+    The maps of a metallic surface under a dielectric coat that reflects, at normal incidence, what a material does.
+
+    The sockets of Blender's Principled BSDF; ``Material.principled`` makes it. Arrays are read-only views, as those of ``Material``.
+
+    Examples
+    --------
+    >>> principled = svbrdf_gcn.Material.load("samples/tiles/truth").principled()
+    >>> sorted(principled.loss)
+    ['diffuse', 'specular']
+    """
+    @property
+    def anisotropic(self, /) -> NDArray[float32] | None:
+        """
+        Anisotropic, from 0 to 1, shape (H, W, 1); None for an isotropic material.
+        """
+    @property
+    def anisotropic_rotation(self, /) -> NDArray[float32] | None:
+        """
+        Anisotropic Rotation: turns of the direction of the greater roughness, counter-clockwise from +x, shape (H, W, 1).
+        """
+    @property
+    def base_color(self, /) -> NDArray[float32]:
+        """
+        Base Color: linear RGB from 0 to 1, shape (H, W, 3).
+        """
+    @property
+    def ior(self, /) -> float:
+        """
+        IOR of the whole material.
+        """
+    @property
+    def loss(self, /) -> dict[str, Any]:
+        """
+        How far diffuse and specular reflectance at normal incidence are from the material's: mean and max of each.
+        """
+    @property
+    def metallic(self, /) -> NDArray[float32]:
+        """
+        Metallic, from 0 to 1, shape (H, W, 1).
+        """
+    @property
+    def normal(self, /) -> NDArray[float32]:
+        """
+        Unit normals, +x right, +y up, +z out of the surface, shape (H, W, 3).
+        """
+    @property
+    def roughness(self, /) -> NDArray[float32]:
+        """
+        Roughness, from 0 to 1, shape (H, W, 1).
+        """
+    @property
+    def specular_level(self, /) -> NDArray[float32]:
+        """
+        Specular IOR Level, from 0 to 1, shape (H, W, 1).
+        """
+    @property
+    def specular_tint(self, /) -> NDArray[float32]:
+        """
+        Specular Tint: linear RGB from 0 to 1, shape (H, W, 3).
+        """
+
+@final
 class Progress:
     """
     Where a fit stands; what the ``progress`` callback is given.
@@ -497,7 +620,7 @@ def command_line(arguments: SupportsGetItem[int, str]) -> int:
     It takes over SIGINT: meant for a process of its own.
     """
 
-def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = "balanced", method: str = "auto", weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = 0, threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
+def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = "balanced", method: str = "auto", weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = 0, threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
     """
     Recover the material that photos show.
 
@@ -510,7 +633,7 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
         `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
     camera_positions, light_positions, patch_size, light_intensity, white_level : optional
         See ``Capture``.
-    transfer, size, views : optional
+    transfer, color_space, size, views : optional
         See ``Capture`` and ``Capture.open``.
     preset : {"draft", "balanced", "high"}
         How much time to spend.

@@ -175,6 +175,7 @@ def test_bad_photos_are_refused(photos, error, said):
         ({"light_intensity": -1}, ArgumentError, "light_intensity must be finite, not negative"),
         ({"light_intensity": [1, 2]}, ShapeError, r"light_intensity: expected shape \(\), \(3,\) or \(2, 3\), got \(2,\)"),
         ({"patch_size": 0}, ArgumentError, "patch_size: expected a finite number above 0, got 0"),
+        ({"color_space": "rec2020"}, ArgumentError, "color_space: expected rec709 or acescg, got 'rec2020'"),
         ({"transfer": "rec709"}, ArgumentError, "transfer: expected srgb, gamma2.2 or linear, got 'rec709'"),
         ({"white_level": -1}, ArgumentError, "white_level: .*got -1"),
         ({"size": 0}, ArgumentError, "size: .*got 0"),
@@ -197,8 +198,8 @@ def test_what_photos_need_and_captures_bring(tiles):
         with pytest.raises(ArgumentError, match=f"^{name}: expected .* got None"):
             fit_material(two_photos(), **given)
     for source in (tiles, TILES):
-        for name, value in {**needed, "light_positions": CAMERAS, "white_level": 1.0}.items():
-            if source is TILES and name == "transfer":
+        for name, value in {**needed, "light_positions": CAMERAS, "white_level": 1.0, "color_space": "acescg"}.items():
+            if source is TILES and name in ("transfer", "color_space"):
                 continue
             with pytest.raises(ArgumentError, match=f"^{name}: the capture brings its own"):
                 fit_material(source, **{name: value})
@@ -566,6 +567,78 @@ def test_metrics():
         metrics.photo_rmse(np.zeros((4, 4, 3)), np.zeros((4, 5, 3)))
     with pytest.raises(FormatError, match="photo: expected linear values as floats, got uint8"):
         metrics.photo_rmse(np.zeros((4, 4, 3)), np.zeros((4, 4, 3), np.uint8))
+
+
+# Rows of the matrix from ACEScg to linear Rec. 709 (Bradford between the whites), as colour science packages have it.
+ACESCG_TO_REC709 = [[1.70505, -0.62179, -0.08326], [-0.13026, 1.14080, -0.01055], [-0.02400, -0.12897, 1.15297]]
+
+
+def test_photos_and_light_in_acescg():
+    photos = two_photos()
+    capture = capture_of(photos, color_space="acescg", light_intensity=[1500.0, 1000.0, 500.0])
+    for got, given in zip(capture.photos, photos, strict=True):
+        np.testing.assert_allclose(got, given @ np.transpose(ACESCG_TO_REC709), atol=2e-5)
+    expected = np.array(ACESCG_TO_REC709) @ [1500.0, 1000.0, 500.0]
+    np.testing.assert_allclose(capture.light_intensity[0], expected, rtol=1e-4)
+
+
+def test_albedos_are_saved_in_acescg(fitted, tmp_path):
+    fitted.save(tmp_path, format="tiff", color_space="acescg")
+    description = json.loads((tmp_path / "material.json").read_text())
+    assert description["maps"]["diffuse"]["color_space"] == "acescg"
+    np.testing.assert_allclose(Material.load(tmp_path).diffuse_albedo, fitted.diffuse_albedo, atol=1e-6)
+    with pytest.raises(ArgumentError, match="color_space: expected rec709 or acescg, got 'srgb'"):
+        fitted.save(tmp_path, color_space="srgb")
+
+
+@pytest.mark.parametrize("target", ["materialx", "gltf", "principled", "unreal"])
+def test_exports_are_those_of_the_command_line(fitted, tmp_path, target):
+    fitted.save(tmp_path / "maps", format="tiff")
+    again = Material.load(tmp_path / "maps")
+    report = again.export(tmp_path / "python", to=target, name="Tiles")
+    command = [sys.executable, "-m", "svbrdf_gcn", "export", str(tmp_path / "maps"), "--to", target, "--name", "Tiles", "-o"]
+    subprocess.run([*command, str(tmp_path / "command")], check=True, stdout=subprocess.DEVNULL)
+    names = {path.name for path in (tmp_path / "python").iterdir()}
+    assert names == {path.name for path in (tmp_path / "command").iterdir()}
+    assert names == {entry["file"] for entry in report["files"]} | {"export.json"}
+    for name in names:
+        assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "command" / name).read_bytes(), name
+    for arguments, said in [
+        ({"to": "maya"}, "to: expected materialx, gltf, principled or unreal, got 'maya'"),
+        ({"to": target, "name": "1 wall"}, "name: .*1 wall"),
+        ({"to": target, "normals": "up"}, "normals: expected opengl or directx, got 'up'"),
+    ]:
+        with pytest.raises(ArgumentError, match=said):
+            again.export(tmp_path / "none", **arguments)
+        assert not (tmp_path / "none").exists()
+
+
+def test_principled_maps_reflect_what_the_material_does(fitted):
+    principled = fitted.principled()
+    # Diffuse reflectance at normal incidence: (1 - metallic) base (1 - the coat's); the coat's is 0.08 level tint for IOR 1.5.
+    assert principled.ior == pytest.approx(1.5)
+    coat = 0.08 * principled.specular_level * principled.specular_tint
+    metallic, base = principled.metallic, principled.base_color
+    specular = metallic * base + (1 - metallic) * coat
+    diffuse = (1 - metallic) * base * (1 - coat.max(axis=-1, keepdims=True))
+    for got, expected, loss in [
+        (specular, fitted.specular_albedo, principled.loss["specular"]),
+        (diffuse, fitted.diffuse_albedo * (1 - fitted.specular_albedo), principled.loss["diffuse"]),
+    ]:
+        assert np.abs(got - expected).max() <= loss["max"] + 1e-4
+    assert principled.anisotropic is None and not base.flags.writeable
+    np.testing.assert_allclose(principled.normal, fitted.normal, atol=1e-6)
+
+
+def test_principled_maps_of_an_anisotropic_material():
+    grey, flat = np.full((4, 4, 3), 0.3), np.zeros((4, 4, 3)) + [0, 0, 1]
+    roughness = np.zeros((4, 4, 2)) + [0.3, 0.6]
+    material = Material(grey, 0.1 * grey, roughness, flat, np.zeros((4, 4, 3)) + [1, 0, 0], patch_size=1)
+    principled = material.principled()
+    np.testing.assert_allclose(principled.roughness, np.sqrt(0.3 * 0.6), rtol=1e-5)
+    # Blender: alpha along and across are r^2 times and over sqrt(1 - 0.9 a); four times apart here.
+    np.testing.assert_allclose(1 - 0.9 * principled.anisotropic, 0.25, rtol=1e-4)
+    assert principled.anisotropic_rotation.shape == (4, 4, 1)
 
 
 def test_the_version_of_numpy_is_the_one_meant():
