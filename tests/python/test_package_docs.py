@@ -1,11 +1,15 @@
 """Every public name has a documentation whose examples run, and the stubs say what the package has."""
 
 import doctest
+import functools
 import inspect
+import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import svbrdf_gcn
@@ -49,6 +53,27 @@ def test_properties_are_documented():
         for name, member in vars(cls).items():
             if inspect.isgetsetdescriptor(member) and not name.startswith("_"):
                 assert inspect.getdoc(member), f"{cls.__name__}.{name}"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/python.md", "python/README.md"])
+def test_pages(page, monkeypatch, tmp_path):
+    """The code of a page runs from top to bottom; a few steps of a fit will do."""
+    (tmp_path / "samples").symlink_to(ROOT / "samples")
+    (tmp_path / "my-capture").symlink_to(ROOT / "samples" / "tiles")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(svbrdf_gcn, "fit_material", functools.partial(svbrdf_gcn.fit_material, direct_steps=5))
+    capture = svbrdf_gcn.Capture.open("my-capture", size=32)
+    names = {
+        "threading": threading,
+        "photos": np.stack(capture.photos),
+        "cameras": capture.camera_positions,
+        "lights": capture.light_positions,
+    }
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, page, "exec"), names)
+    assert Path("my-material/material.json").exists()
 
 
 def test_stubs_agree_with_the_package():
