@@ -463,6 +463,57 @@ except KeyboardInterrupt:
     assert rest == "interrupted\nagain\n" and process.returncode == 0
 
 
+# Networks.
+
+# Random weights for one and for two photos.
+WEIGHTS = ROOT / "fuzz" / "seeds" / "weights" / "two_networks.safetensors"
+SHORT = {"weights": WEIGHTS, "latent_steps": 2, "adapter_steps": 5, "threads": 1}
+
+
+def test_weights_by_path_and_loaded(tiles, tmp_path):
+    model = Model.load(WEIGHTS)
+    assert model.photos == [1, 2] and "random" in model.license
+    by_path = fit_material(tiles, **SHORT)
+    assert by_path.report["method"] == "network"
+    assert [stage["stage"] for stage in by_path.report["stages"]] == ["latent", "adapters"]
+    assert [stage["steps"] for stage in by_path.report["stages"]] == [2, 5]
+    assert bits(fit_material(tiles, **{**SHORT, "weights": model})) == bits(by_path)
+    assert fit_material(tiles, method="direct", **{**SHORT, "direct_steps": 2}).report["method"] == "direct"
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(WEIGHTS.read_bytes()[:-100])
+    with pytest.raises(WeightsError):
+        Model.load(broken)
+
+
+def test_one_model_for_two_fits_at_once(tiles):
+    model, results = Model.load(WEIGHTS), {}
+
+    def run(index):
+        results[index] = bits(fit_material(tiles, **{**SHORT, "weights": model}))
+
+    threads = [threading.Thread(target=run, args=(index,)) for index in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("stage", ["latent", "adapters"])
+def test_cancel_in_a_stage_of_the_network(tiles, stage):
+    token, seen = CancelToken(), []
+
+    def cancel(progress):
+        seen.append(progress.stage)
+        if progress.stage == stage:
+            token.cancel()
+
+    steps = {"latent_steps": 1, "adapter_steps": 1, f"{stage}_steps".replace("adapters", "adapter"): 10**6}
+    with pytest.raises(Cancelled):
+        fit_material(tiles, progress=cancel, cancel=token, early_stop=False, **{**SHORT, **steps})
+    assert seen[-1] == stage
+
+
 # Materials.
 
 
