@@ -161,7 +161,7 @@ fn gltf_refers_to_what_is_there() {
             let offset = view["byteOffset"].as_u64().unwrap();
             let length = components * bytes * accessor["count"].as_u64().unwrap();
             assert_eq!(view["byteLength"], length);
-            assert!(offset % 4 == 0 && offset + length <= bin.len() as u64);
+            assert!(offset.is_multiple_of(4) && offset + length <= bin.len() as u64);
         }
         let extensions = gltf["materials"][0]["extensions"].as_object().unwrap();
         let used: Vec<&str> = gltf["extensionsUsed"].as_array().unwrap().iter().map(|e| e.as_str().unwrap()).collect();
