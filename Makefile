@@ -13,7 +13,7 @@ ifneq ($(wildcard ../shared/REFERENCE.md),)
 export SVBRDF_GCN_REQUIRE_SHARED := 1
 endif
 
-.PHONY: help build demo test setup lint unit docs-test python-build python-test blender-test training-test stubs wheel addon bench fuzz sample clean
+.PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test golden blender-test training-test stubs wheel addon bench fuzz sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -26,7 +26,7 @@ demo: build ## fit the sample capture and show where the pictures are
 	@$(BIN) evaluate out/demo samples/tiles --views 7,8 --truth samples/tiles/truth
 	@echo "Look at out/demo/preview.png"
 
-test: setup lint unit docs-test python-build python-test blender-test ## set up what the tests need, and run them all, cheapest first
+test: setup lint unit docs-test c-test python-build python-test golden blender-test ## set up what the tests need, and run them all, cheapest first
 
 setup: ## Python packages in .venv
 	@tools/setup.sh
@@ -42,6 +42,27 @@ unit: ## Rust tests
 
 docs-test: ## the examples in the documentation
 	$(CARGO) test --workspace --doc --locked
+
+# What `cargo test` has compiled, and the libraries: any other choice of packages would compile most of it again.
+c-test: ## C and C++: interface, installed library, examples, sanitizers, valgrind, same files as the command line
+	$(CARGO) build --workspace --lib --bins --test header --locked
+	rm -rf target/c
+	tools/install.sh target/debug target/c/prefix
+	tests/c/run.sh target/c/prefix target/debug/svbrdf-gcn
+
+asan: ## the C and C++ tests with the library under AddressSanitizer too (minutes; compiles everything)
+	RUSTC_BOOTSTRAP=1 RUSTFLAGS=-Zsanitizer=address $(CARGO) build -p svbrdf-gcn-ffi --locked --target x86_64-unknown-linux-gnu --target-dir target/asan
+	rm -rf target/c-asan
+	tools/install.sh target/asan/x86_64-unknown-linux-gnu/debug target/c-asan/prefix
+	ASAN=1 tests/c/run.sh target/c-asan/prefix
+
+header: ## write include/svbrdf_gcn/svbrdf_gcn.h anew
+	SVBRDF_GCN_WRITE_HEADER=1 $(CARGO) test --workspace --test header --locked
+
+PREFIX ?= /usr/local
+install: ## libraries, headers, pkg-config and CMake files to PREFIX (and DESTDIR)
+	$(CARGO) build --release --locked -p svbrdf-gcn-ffi
+	tools/install.sh target/release "$(DESTDIR)$(PREFIX)"
 
 MATURIN := $(VENV)/bin/maturin
 PACKAGE := --manifest-path python/Cargo.toml --locked
@@ -64,6 +85,10 @@ wheel: setup ## the Python package as a wheel in dist (PROFILE=dev for a quick o
 python-test: ## Python package and tools
 	$(VENV)/bin/python -m pytest -q tests/python
 	SVBRDF_GCN_NUMPY=1.26 $(VENV)/numpy1/bin/python -m pytest -q tests/python/test_package.py
+
+golden: ## one capture, the same files from every language; after c-test and python-build
+	$(VENV)/bin/python tests/golden/compare.py target/golden cli=target/debug/svbrdf-gcn c=target/c/tests/golden-c cpp=target/c/tests/golden-cpp \
+		"python=$(VENV)/bin/python tests/golden/fit.py"
 
 training-test: ## the trainer; TRAINING_PYTHON is a Python that has PyTorch, numpy and Pillow (make test leaves this out)
 	@[ -x $(VENV)/training/bin/python ] || { $(TRAINING_PYTHON) -m venv --system-site-packages $(VENV)/training && $(VENV)/training/bin/pip install --quiet --disable-pip-version-check pytest; }

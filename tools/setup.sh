@@ -4,12 +4,13 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 # The commands that come from Debian packages, and the packages.
-declare -A packages=([cc]=build-essential [python3]=python3 [pkg-config]=pkg-config)
+declare -A packages=([cc]=build-essential [python3]=python3 [pkg-config]=pkg-config [cmake]=cmake [valgrind]=valgrind)
 missing=()
 for command in "${!packages[@]}"; do
     command -v "$command" >/dev/null || missing+=("${packages[$command]}")
 done
 python3 -c 'import venv, ensurepip' 2>/dev/null || missing+=(python3-venv)
+pkg-config --exists OpenImageIO 2>/dev/null || missing+=(libopenimageio-dev)
 # Libraries that Blender's Python module loads.
 declare -A libraries=([libGL.so.1]=libgl1 [libICE.so.6]=libice6 [libSM.so.6]=libsm6 [libXfixes.so.3]=libxfixes3 [libXi.so.6]=libxi6
     [libxkbcommon.so.0]=libxkbcommon0 [libXrender.so.1]=libxrender1)

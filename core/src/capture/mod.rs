@@ -396,6 +396,35 @@ impl Capture {
         Ok(Self { photos, patch_size, transfer, unit, warnings })
     }
 
+    /// Adds the photos of `other`, for hosts that hand them over one at a time.
+    ///
+    /// # Errors
+    /// [`Error::ShapeMismatch`] if its photos have another size, [`Error::InvalidArgument`] if it has another `patch_size` or transfer
+    /// function; `self` then stays as it was.
+    pub fn append(&mut self, other: Self) -> Result<()> {
+        if (other.width(), other.height()) != (self.width(), self.height()) {
+            return Err(Error::shape(
+                &other.photos[0].name,
+                format!("{} x {} pixels as {} has", self.width(), self.height(), self.photos[0].name),
+                format!("{} x {}", other.width(), other.height()),
+            ));
+        }
+        if other.patch_size != self.patch_size {
+            return Err(Error::invalid(
+                "patch_size",
+                format!("expected {}, got {}", self.patch_size, other.patch_size),
+            ));
+        }
+        if other.transfer != self.transfer {
+            let (expected, got) = (self.transfer.name(), other.transfer.name());
+            return Err(Error::invalid("transfer", format!("expected {expected}, got {got}")));
+        }
+        let new = other.warnings.into_iter().filter(|warning| !self.warnings.contains(warning)).collect::<Vec<_>>();
+        self.warnings.extend(new);
+        self.photos.extend(other.photos);
+        Ok(())
+    }
+
     /// The photos.
     pub fn photos(&self) -> &[Photo] {
         &self.photos

@@ -1,0 +1,71 @@
+#!/usr/bin/env python3
+"""Fits the same capture from several languages and compares what they write, byte for byte.
+
+    compare.py OUT NAME=COMMAND NAME=COMMAND ...
+
+Each COMMAND is called as `COMMAND CAPTURE FOLDER FORMAT` and has to fit the capture with: size 48, views 6, 0, 2, 4, preset draft, seed 7, 2 threads,
+and to save the maps to FOLDER as FORMAT (exr, png16 or tiff). The first is the reference; `cli` alone stands for the command line, whose program it names.
+material.json has to be the same but for the times in it. The maps depend on the CPU, so nothing is compared with files from another machine.
+"""
+
+import json
+import pathlib
+import shlex
+import subprocess
+import sys
+
+CAPTURE = pathlib.Path(__file__).resolve().parents[2] / "samples" / "tiles"
+FORMATS = {"exr": "exr", "png16": "png", "tiff": "tif"}
+MAPS = ["diffuse", "specular", "roughness", "normal"]
+OPTIONS = ["--size", "48", "--views", "6,0,2,4", "--preset", "draft", "--seed", "7", "--threads", "2"]
+
+
+def run(name, command, folder, image_format):
+    if name == "cli":
+        arguments = [*command, "fit", str(CAPTURE), "-o", str(folder), *OPTIONS, "--format", image_format, "--quiet"]
+    else:
+        arguments = [*command, str(CAPTURE), str(folder), image_format]
+    subprocess.run(arguments, check=True)
+
+
+def without_times(value):
+    if isinstance(value, dict):
+        return {key: without_times(item) for key, item in value.items() if key != "seconds"}
+    if isinstance(value, list):
+        return [without_times(item) for item in value]
+    return value
+
+
+def differences(reference, other, extension):
+    """Names of the files that differ."""
+    different = [
+        f"{name}.{extension}"
+        for name in MAPS
+        if (reference / f"{name}.{extension}").read_bytes() != (other / f"{name}.{extension}").read_bytes()
+    ]
+    descriptions = [json.loads((folder / "material.json").read_text()) for folder in (reference, other)]
+    if without_times(descriptions[0]) != without_times(descriptions[1]):
+        different.append("material.json")
+    return different
+
+
+def main(out, *languages):
+    commands = dict(language.split("=", 1) for language in languages)
+    failed = 0
+    for image_format, extension in FORMATS.items():
+        folders = {}
+        for name, command in commands.items():
+            folders[name] = pathlib.Path(out) / f"{name}-{image_format}"
+            run(name, shlex.split(command), folders[name], image_format)
+        reference, *others = folders
+        for name in others:
+            different = differences(folders[reference], folders[name], extension)
+            failed += bool(different)
+            print(f"{image_format}: {name} and {reference}: {', '.join(different) + ' differ' if different else 'the same'}")
+    return min(failed, 1)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 4:
+        sys.exit(__doc__)
+    sys.exit(main(*sys.argv[1:]))
