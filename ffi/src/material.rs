@@ -383,7 +383,9 @@ mod tests {
                     views.map(|view| std::slice::from_raw_parts(view.data.cast::<f32>(), 64 * channels as usize));
                 assert_eq!(a, b);
             }
-            materials.map(|material| svbrdf_gcn_material_destroy(material));
+            for material in materials {
+                svbrdf_gcn_material_destroy(material);
+            }
             svbrdf_gcn_capture_destroy(capture);
             svbrdf_gcn_model_destroy(model);
         }

@@ -638,7 +638,7 @@ mod tests {
     #[test]
     fn defaults_are_the_cores() {
         let ours = svbrdf_gcn_options::defaults().fit_options(CancelToken::new()).unwrap();
-        let core = FitOptions { early_stop: Some(true), ..FitOptions::default() };
+        let core = FitOptions::default().early_stop(true);
         assert_eq!(format!("{ours:?}"), format!("{core:?}"));
         let defaults = svbrdf_gcn_capture_options::defaults();
         // SAFETY: there are no views.
