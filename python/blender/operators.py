@@ -56,6 +56,7 @@ def prepare(settings):
         "size": settings.size or None,
         "views": parse_views(settings.views),
         "transfer": None if settings.transfer == "AUTO" else settings.transfer,
+        "color_space": settings.color_space,
     }
     if settings.source == "FOLDER":
         folder = absolute(settings.folder)
