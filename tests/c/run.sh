@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # Tests of the C and C++ interface against an installed library: run.sh PREFIX CLI, where CLI is the command line of the same build.
-# Environment: ASAN=1 if the library itself was built with AddressSanitizer; CC, CXX.
+# Environment: ASAN=1 if the library itself was built with AddressSanitizer (then CLI is not needed); CC, CXX.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 prefix=$(realpath "$1")
-cli=$(realpath "$2")
+cli=${2:+$(realpath "$2")}
 out=$prefix/../tests
 rm -rf "$out"
 mkdir -p "$out"
