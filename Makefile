@@ -87,8 +87,8 @@ python-test: ## Python package and tools
 	SVBRDF_GCN_NUMPY=1.26 $(VENV)/numpy1/bin/python -m pytest -q tests/python/test_package.py
 
 golden: ## one capture, the same files from every language; after c-test and python-build
-	$(VENV)/bin/python tests/golden/compare.py target/golden cli=target/debug/svbrdf-gcn c=target/c/tests/golden-c cpp=target/c/tests/golden-cpp \
-		"python=$(VENV)/bin/python tests/golden/fit.py"
+	SVBRDF_GCN_WHEEL=$$(ls $(CURDIR)/target/wheels/*.whl) $(VENV)/bin/python tests/golden/compare.py target/golden cli=target/debug/svbrdf-gcn c=target/c/tests/golden-c cpp=target/c/tests/golden-cpp \
+		"python=$(VENV)/bin/python tests/golden/fit.py" "blender=$(VENV)/blender/bin/python tests/golden/fit_blender.py"
 
 training-test: ## the trainer; TRAINING_PYTHON is a Python that has PyTorch, numpy and Pillow (make test leaves this out)
 	@[ -x $(VENV)/training/bin/python ] || { $(TRAINING_PYTHON) -m venv --system-site-packages $(VENV)/training && $(VENV)/training/bin/pip install --quiet --disable-pip-version-check pytest; }

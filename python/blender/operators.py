@@ -245,12 +245,17 @@ class SVBRDF_GCN_OT_export_material(bpy.types.Operator):
     to: EnumProperty(
         name="For",
         items=[
-            ("maps", "Maps (EXR)", "The maps as fitted, as the command line writes them"),
+            ("maps", "Maps", "The maps as fitted, as the command line writes them"),
             ("materialx", "MaterialX", "OpenPBR surface"),
             ("gltf", "glTF", "With KHR_materials_specular"),
             ("principled", "Principled", "Base color, metallic, roughness, specular level and tint"),
             ("unreal", "Unreal", "Base color, packed occlusion-roughness-metallic, DirectX normals"),
         ],
+    )
+    format: EnumProperty(
+        name="Format",
+        description="File format of the maps; other targets have their own",
+        items=[("exr", "OpenEXR", "Half floats"), ("png16", "PNG", "16 bits"), ("tiff", "TIFF", "Floats")],
     )
     normals: EnumProperty(
         name="Normals",
@@ -275,7 +280,7 @@ class SVBRDF_GCN_OT_export_material(bpy.types.Operator):
         try:
             maps = material.read_back(material.fitted_group(source))
             if self.to == "maps":
-                maps.save(folder)
+                maps.save(folder, format=self.format)
             else:
                 report = maps.export(folder, to=self.to, name=source.name, normals=None if self.normals == "AUTO" else self.normals)
                 for remark in report["lost"]:
