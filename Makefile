@@ -4,6 +4,8 @@ CARGO ?= cargo
 PYTHON ?= python3
 TRAINING_PYTHON ?= $(PYTHON)
 VENV := .venv
+# The tests against OpenImageIO bring dependencies of their own, and their target.
+WORKSPACE := --workspace --exclude svbrdf-gcn-oiio-tests
 BIN := target/release/svbrdf-gcn
 # The Cargo profile of the wheel: dev compiles faster, and shares what the tests compiled.
 PROFILE ?= release
@@ -13,7 +15,7 @@ ifneq ($(wildcard ../shared/REFERENCE.md),)
 export SVBRDF_GCN_REQUIRE_SHARED := 1
 endif
 
-.PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test golden blender-test training-test stubs wheel addon bench fuzz sample clean
+.PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test golden blender-test oiio-test training-test stubs wheel addon bench fuzz sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -26,26 +28,26 @@ demo: build ## fit the sample capture and show where the pictures are
 	@$(BIN) evaluate out/demo samples/tiles --views 7,8 --truth samples/tiles/truth
 	@echo "Look at out/demo/preview.png"
 
-test: setup lint unit docs-test c-test python-build python-test golden blender-test ## set up what the tests need, and run them all, cheapest first
+test: setup lint unit docs-test c-test python-build python-test golden blender-test oiio-test ## set up what the tests need, and run them all, cheapest first
 
 setup: ## Python packages in .venv
 	@tools/setup.sh
 
 lint: ## formatting, clippy, documentation
 	$(CARGO) fmt --all --check
-	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --locked
+	$(CARGO) clippy $(WORKSPACE) --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc $(WORKSPACE) --no-deps --locked
 
 unit: ## Rust tests
 	$(CARGO) check -p svbrdf-gcn --no-default-features --locked
-	$(CARGO) test --workspace --lib --bins --tests --locked
+	$(CARGO) test $(WORKSPACE) --lib --bins --tests --locked
 
 docs-test: ## the examples in the documentation
-	$(CARGO) test --workspace --doc --locked
+	$(CARGO) test $(WORKSPACE) --doc --locked
 
 # What `cargo test` has compiled, and the libraries: any other choice of packages would compile most of it again.
 c-test: ## C and C++: interface, installed library, examples, sanitizers, valgrind, same files as the command line
-	$(CARGO) build --workspace --lib --bins --test header --locked
+	$(CARGO) build $(WORKSPACE) --lib --bins --test header --locked
 	rm -rf target/c
 	tools/install.sh target/debug target/c/prefix
 	tests/c/run.sh target/c/prefix target/debug/svbrdf-gcn
@@ -57,7 +59,7 @@ asan: ## the C and C++ tests with the library under AddressSanitizer too (minute
 	ASAN=1 tests/c/run.sh target/c-asan/prefix
 
 header: ## write include/svbrdf_gcn/svbrdf_gcn.h anew
-	SVBRDF_GCN_WRITE_HEADER=1 $(CARGO) test --workspace --test header --locked
+	SVBRDF_GCN_WRITE_HEADER=1 $(CARGO) test $(WORKSPACE) --test header --locked
 
 PREFIX ?= /usr/local
 install: ## libraries, headers, pkg-config and CMake files to PREFIX (and DESTDIR)
@@ -99,6 +101,9 @@ blender-test: ## the extension, in Blender's Python module
 
 addon: wheel ## the Blender extension in dist
 	$(VENV)/bin/python python/tools/build_addon.py dist/*.whl -o dist
+
+oiio-test: ## readers, writers and colours against OpenImageIO
+	$(CARGO) test -p svbrdf-gcn-oiio-tests --locked
 
 bench: ## benchmarks; figures are in docs/performance.md
 	$(CARGO) bench -p svbrdf-gcn
