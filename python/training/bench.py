@@ -29,7 +29,7 @@ def main():
     config["photos"] = [float(number == options.photos) for number in range(1, 10)]
     device = torch.device(options.device)
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
-    torch.backends.cudnn.benchmark = True
+    torch.backends.cudnn.benchmark = config["benchmark"]
     data = Data(config, device)
 
     def wait():

@@ -20,7 +20,7 @@ DEFAULTS = {
         "size": 320,
     },
     # How often a batch has 1, 2, ... 9 photos, relatively.
-    "photos": [3, 2, 2, 4, 2, 1.5, 2, 1.5, 1],
+    "photos": [3, 2, 2, 4, 2, 0, 2, 0, 1.5],
     # What part of the training runs with which crops; the last size is the model's window.
     "phase": [{"share": 1.0, "size": 128, "batch": 32}],
     "model": {key: value for key, value in model.DEFAULT.items() if key != "window"},
@@ -32,6 +32,8 @@ DEFAULTS = {
     "checkpoint_minutes": 4.0,
     # Memory layout of the network on a GPU.
     "channels_last": True,
+    # Time the GPU's algorithms of every convolution and shape, and take the fastest (seconds at the start of every call).
+    "benchmark": True,
     # Compile the part of the network behind the pooling (a minute at the start, on a GPU).
     "compile": False,
 }

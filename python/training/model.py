@@ -225,15 +225,16 @@ class Model(nn.Module):
             for block in decoder:
                 x = block(x, self.at(level + 1, window))
         x = self.laid(functional.pixel_shuffle(self.unfold(x), 2)) + self.skip(self.laid(fine))
-        # The last steps in full precision: 8 bits of mantissa are too few for maps.
+        for block in self.tail:
+            x = block(x, self.at(0, window))
+        # The certainty learns from the features without changing them.
+        log_sigma = self.certainty(x.detach(), self.at(0, window))
+        # The adapters in full precision: 8 bits of mantissa are too few for maps.
+        full = self.ending.weight.dtype
         with torch.autocast(x.device.type, enabled=False):
-            x = x.to(self.ending.weight.dtype)
-            for block in self.tail:
-                x = block(x, self.at(0, window))
-            feature = self.ending(x)
+            feature = self.ending(x.to(full))
             raw = torch.cat([getattr(self, name)(feature, self.at(0, window)) for name, _ in ADAPTERS], 1)
-            # The certainty learns from the features without changing them.
-            log_sigma = self.certainty(x.detach(), self.at(0, window)).clamp(*LOG_SIGMA)
+            log_sigma = log_sigma.to(full).clamp(*LOG_SIGMA)
         return raw, log_sigma
 
     def forward(self, inputs, window="config"):

@@ -174,7 +174,7 @@ def main(arguments=None):
         raise SystemExit(f"{options.config}: {error}") from error
     device = torch.device(options.device)
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
-    torch.backends.cudnn.benchmark = True
+    torch.backends.cudnn.benchmark = config["benchmark"]
 
     trainer = Trainer(config, device)
     options.output.mkdir(parents=True, exist_ok=True)
@@ -194,7 +194,9 @@ def main(arguments=None):
             log.write(json.dumps(entry) + "\n")
 
     def check():
+        torch.backends.cudnn.benchmark = False
         results = validate(trainer.averaged(), validation, config["validation"])
+        torch.backends.cudnn.benchmark = config["benchmark"]
         write({"step": trainer.step, "seconds": round(trainer.seconds, 1), "validation": results})
         print(f"step {trainer.step}, validation\n{summary(results)}", flush=True)
 
@@ -225,7 +227,8 @@ def main(arguments=None):
             checked = time.monotonic()
         mark += time.monotonic() - now
     trainer.save(options.output)
-    check()
+    if not stopped:
+        check()
     print(f"{trainer.step} steps, {trainer.seconds:.0f} s of training, {100 * min(trainer.progress, 1):.1f} % of the schedule", flush=True)
 
 
