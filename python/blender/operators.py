@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fit, cancel, export, and the list of photos."""
 
+import re
 from pathlib import Path
 
 import bpy
@@ -282,7 +283,9 @@ class SVBRDF_GCN_OT_export_material(bpy.types.Operator):
             if self.to == "maps":
                 maps.save(folder, format=self.format)
             else:
-                report = maps.export(folder, to=self.to, name=source.name, normals=None if self.normals == "AUTO" else self.normals)
+                # Names of files and nodes; Blender numbers its materials with a dot.
+                name = re.sub(r"[^A-Za-z0-9_]", "_", source.name)
+                report = maps.export(folder, to=self.to, name=name, normals=None if self.normals == "AUTO" else self.normals)
                 for remark in report["lost"]:
                     self.report({"INFO"}, remark)
         except (svbrdf_gcn.SvbrdfError, OSError, ValueError) as error:
