@@ -15,6 +15,9 @@ ifneq ($(wildcard ../shared/REFERENCE.md),)
 export SVBRDF_GCN_REQUIRE_SHARED := 1
 endif
 
+# Property tests draw the same cases every time; another seed draws others.
+export PROPTEST_RNG_SEED ?= 1
+
 .PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test golden blender-test oiio-test training-test stubs wheel addon bench fuzz sample clean
 
 help: ## this list

@@ -443,7 +443,9 @@ def test_a_callback_may_fit(tiles, fitted):
 
 def test_control_c_stops_a_fit():
     program = """
-import svbrdf_gcn, sys
+import signal, svbrdf_gcn, sys
+# Shells start background jobs with SIGINT ignored, which children inherit.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 said = []
 def say(progress):
     if not said:
@@ -459,7 +461,11 @@ except KeyboardInterrupt:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "running\n"
         process.send_signal(signal.SIGINT)
-        rest, _ = process.communicate(timeout=60)
+        try:
+            rest, _ = process.communicate(timeout=60)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
     assert rest == "interrupted\nagain\n" and process.returncode == 0
 
 
