@@ -23,8 +23,8 @@ export PROPTEST_RNG_SEED ?= 1
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
 
-build: ## the release build
-	$(CARGO) build --release --locked
+build: ## the command line, optimised
+	$(CARGO) build --release --locked -p svbrdf-gcn
 
 demo: build ## fit the sample capture and show where the pictures are
 	@$(BIN) fit samples/tiles --views 0,1,2,3,4,5,6 -o out/demo
