@@ -30,8 +30,10 @@ DEFAULTS = {
     "validation": {"minutes": 6.0, "size": 256, "photos": [1, 4, 8], "views": 20},
     "log_steps": 50,
     "checkpoint_minutes": 4.0,
-    # Memory layout of the network on a GPU.
+    # Memory layout of the network.
     "channels_last": True,
+    # The network behind the input in bfloat16; rendering, loss and adapters stay in single precision.
+    "bfloat16": True,
     # Time the GPU's algorithms of every convolution and shape, and take the fastest (seconds at the start of every call).
     "benchmark": True,
     # Compile the part of the network behind the pooling (a minute at the start, on a GPU).

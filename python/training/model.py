@@ -28,7 +28,7 @@ SPREAD_EPS = 1e-4
 # Bounds of the logarithm of the standard deviation.
 LOG_SIGMA = (-7.0, 1.0)
 
-DEFAULT = {"stem": 24, "stem_blocks": 1, "node": 48, "heads": 2, "dim": 8, "rounds": 2, "width": 64, "blocks": [4, 4], "middle": 4, "tail": 32, "tail_blocks": 2, "feature": 12, "window": 128, "roughness_floor": -0.5}  # fmt: skip
+DEFAULT = {"stem": 16, "stem_blocks": 0, "node": 32, "heads": 2, "dim": 8, "rounds": 1, "width": 64, "blocks": [2, 3], "middle": 3, "tail": 16, "tail_blocks": 1, "feature": 9, "window": 96, "roughness_floor": -0.5}  # fmt: skip
 
 
 def window_mean(x, window):

@@ -35,7 +35,7 @@ class Trainer:
         self.config, self.device = config, device
         torch.manual_seed(config["seed"])
         self.model = Model(config["model"])
-        if config["channels_last"] and device.type == "cuda":
+        if config["channels_last"]:
             self.model.memory_format = torch.channels_last
         self.model.to(device, memory_format=self.model.memory_format)
         self.model.train()
@@ -66,7 +66,7 @@ class Trainer:
         return settings["final_rate"] + (settings["rate"] - settings["final_rate"]) * 0.5 * (1 + math.cos(math.pi * phase))
 
     def autocast(self):
-        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda")
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.config["bfloat16"])
 
     def train_step(self, data):
         """One step of the optimiser; returns what it measured, as tensors."""
