@@ -23,6 +23,8 @@ pub enum svbrdf_gcn_stage {
     SVBRDF_GCN_STAGE_ADAPTERS = 2,
     /// The maps themselves are optimised.
     SVBRDF_GCN_STAGE_DIRECT = 3,
+    /// The predicted maps are fitted to the photos pixel by pixel.
+    SVBRDF_GCN_STAGE_FINISH = 4,
     /// A part this release has no number for.
     SVBRDF_GCN_STAGE_OTHER = -1,
 }
@@ -81,6 +83,7 @@ impl Callback {
             Stage::Latent => SVBRDF_GCN_STAGE_LATENT,
             Stage::Adapters => SVBRDF_GCN_STAGE_ADAPTERS,
             Stage::Direct => SVBRDF_GCN_STAGE_DIRECT,
+            Stage::Finish => SVBRDF_GCN_STAGE_FINISH,
             _ => SVBRDF_GCN_STAGE_OTHER,
         };
         let report = svbrdf_gcn_progress {

@@ -401,6 +401,10 @@ enum svbrdf_gcn_stage
    */
   SVBRDF_GCN_STAGE_DIRECT = 3,
   /**
+   * The predicted maps are fitted to the photos pixel by pixel.
+   */
+  SVBRDF_GCN_STAGE_FINISH = 4,
+  /**
    * A part this release has no number for.
    */
   SVBRDF_GCN_STAGE_OTHER = -1,

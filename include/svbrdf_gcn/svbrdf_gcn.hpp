@@ -140,6 +140,7 @@ enum class Stage : std::int32_t {
     Latent = SVBRDF_GCN_STAGE_LATENT,
     Adapters = SVBRDF_GCN_STAGE_ADAPTERS,
     Direct = SVBRDF_GCN_STAGE_DIRECT,
+    Finish = SVBRDF_GCN_STAGE_FINISH,
 };
 
 enum class PixelType : std::int32_t {

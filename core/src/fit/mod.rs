@@ -5,6 +5,7 @@ pub mod adapters;
 mod cluster;
 pub mod descent;
 mod direct;
+mod finish;
 pub mod latent;
 mod memory;
 mod network;

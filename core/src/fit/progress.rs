@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Stage {
-    /// The photos pass through the encoder and once through the decoder.
+    /// The photos pass through the network once.
     Encode,
     /// Adam on the latent code (paper, Eq. 6).
     Latent,
@@ -19,6 +19,8 @@ pub enum Stage {
     Adapters,
     /// Optimisation of the maps themselves.
     Direct,
+    /// The predicted maps are fitted to the photos pixel by pixel.
+    Finish,
 }
 
 impl Stage {
@@ -29,6 +31,7 @@ impl Stage {
             Self::Latent => "latent",
             Self::Adapters => "adapters",
             Self::Direct => "direct",
+            Self::Finish => "finish",
         }
     }
 }
