@@ -109,7 +109,7 @@ impl PhotoGraph {
     /// How the raw planes of a [`Prediction`] become maps.
     ///
     /// # Errors
-    /// [`Error::InvalidArgument`] never, as the configuration was checked.
+    /// As [`Decoding::with_roughness_floor`].
     pub fn decoding(&self) -> Result<Decoding> {
         Decoding::new(Lobe::Isotropic).with_roughness_floor(f64::from(self.config.roughness_floor))
     }
@@ -155,7 +155,8 @@ impl PhotoGraph {
         let of = |channels: usize| channels as u64;
         let quarter = |channels: u64| channels.div_ceil(4);
         let (stem, node, tail) = (of(config.stem), of(config.node), of(config.tail));
-        let nodes = (photos as u64).saturating_mul(quarter(node + of(DIRECTIONS)));
+        // No machine holds more photos than this.
+        let nodes = (photos as u64).min(1 << 32) * quarter(node + of(DIRECTIONS));
         let photo =
             of(INPUTS) + 2 * stem + quarter(BLOCK * node) + if config.stem_blocks > 0 { BLOCK * stem } else { 0 };
         let see = (3 * stem + 1) + tail + photo + nodes;
