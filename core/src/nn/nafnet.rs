@@ -375,7 +375,8 @@ mod tests {
         let [a, b] = [a, b].map(|out| layout.unpack(out.values(), 20, 40));
         for (at, (a, b)) in a.iter().zip(&b).enumerate() {
             let near = (at / 40 % 20).abs_diff(9) <= 1 && (at % 40).abs_diff(20) <= 1;
-            assert_eq!(a != b, near, "{at}");
+            // The sums that glide over the picture are rounded.
+            assert_eq!((a - b).abs() > 1e-12, near, "{at}");
         }
     }
 
