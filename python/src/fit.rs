@@ -137,9 +137,13 @@ impl PyModel {
         detached(py, || Model::load(path)).map(|model| Self(Arc::new(model)))
     }
 
-    /// The numbers of photos that there is a network for; a fit takes the one for the most photos it has.
+    /// The numbers of photos that there is a network for; a fit takes the one for the most photos it has. ``[1]`` for a photo graph,
+    /// which takes any number of photos from one up.
     #[getter]
     fn photos(&self) -> Vec<usize> {
+        if self.0.photo_graph().is_some() {
+            return vec![1];
+        }
         self.0.networks().iter().map(|network| network.config().photos).collect()
     }
 
@@ -150,6 +154,9 @@ impl PyModel {
     }
 
     fn __repr__(&self) -> String {
+        if self.0.photo_graph().is_some() {
+            return format!("<svbrdf_gcn.Model: photo graph for 1 photo or more, {}>", self.0.license());
+        }
         format!("<svbrdf_gcn.Model: networks for {:?} photos, {}>", self.photos(), self.0.license())
     }
 }

@@ -512,7 +512,8 @@ class Model:
     @property
     def photos(self, /) -> list[int]:
         """
-        The numbers of photos that there is a network for; a fit takes the one for the most photos it has.
+        The numbers of photos that there is a network for; a fit takes the one for the most photos it has. ``[1]`` for a photo graph,
+        which takes any number of photos from one up.
         """
 
 @final

@@ -10,7 +10,7 @@ use crate::error::Result;
 use crate::io::material::read_report;
 use crate::maps::Lobe;
 use crate::material::Material;
-use crate::nn::Model;
+use crate::nn::{Model, PhotoGraph};
 
 #[derive(Args)]
 pub struct InfoArgs {
@@ -40,12 +40,32 @@ fn material(args: &InfoArgs) -> Result<Value> {
 
 fn weights(args: &InfoArgs) -> Result<Value> {
     let model = Model::load(&args.file)?;
+    if let Some(graph) = model.photo_graph() {
+        return photo_graph(&model, graph);
+    }
     let networks: Vec<Value> = model
         .networks()
         .iter()
         .map(|network| json!({ "config": network.config(), "parameters": network.parameters() }))
         .collect();
     Ok(json!({ "kind": "weights", "license": model.license(), "networks": networks }))
+}
+
+fn photo_graph(model: &Model, graph: &PhotoGraph) -> Result<Value> {
+    let architecture = graph.architecture()?;
+    // Where the file says it in JSON, show what it says.
+    let fact = |text: &String| serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.clone()));
+    let facts: serde_json::Map<_, _> = model.facts().iter().map(|(key, text)| (key.clone(), fact(text))).collect();
+    let mut all = json!({
+        "kind": "weights",
+        "license": model.license(),
+        "architecture": architecture,
+        "parameters": graph.parameters(),
+    });
+    if let (Value::Object(all), false) = (&mut all, facts.is_empty()) {
+        all.insert("facts".into(), facts.into());
+    }
+    Ok(all)
 }
 
 /// A JSON value as indented lines.

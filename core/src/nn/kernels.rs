@@ -248,6 +248,125 @@ kernel! {
     }
 }
 
+kernel! {
+    /// `out *= x`.
+    pub(crate) fn times<E>(out: &mut [E], x: &[E]) {
+        for (out, &x) in out.iter_mut().zip(x) {
+            *out *= x;
+        }
+    }
+}
+
+kernel! {
+    /// `sums += x`.
+    pub(crate) fn add_wide<E>(sums: &mut [f64], x: &[E]) {
+        for (sum, x) in sums.iter_mut().zip(x) {
+            *sum += x.wide();
+        }
+    }
+}
+
+kernel! {
+    /// `sums += new - old`.
+    pub(crate) fn exchange_wide<E>(sums: &mut [f64], new: &[E], old: &[E]) {
+        for (sum, (new, old)) in sums.iter_mut().zip(new.iter().zip(old)) {
+            *sum += new.wide() - old.wide();
+        }
+    }
+}
+
+kernel! {
+    /// `share` times the sums of `values` over `span` places around each, moved inwards at the ends; `prefix` has room for one more than there are values.
+    pub(crate) fn running_means<E>(out: &mut [E], values: &[f64], prefix: &mut [f64], span: usize, share: f64) {
+        let mut sum = 0.0;
+        prefix[0] = 0.0;
+        for (prefix, &value) in prefix[1..].iter_mut().zip(values) {
+            sum += value;
+            *prefix = sum;
+        }
+        let (before, inner) = (span / 2, values.len() - span + 1);
+        out[..before].fill(E::of((prefix[span] - prefix[0]) * share));
+        for ((out, &low), &high) in out[before..before + inner].iter_mut().zip(&prefix[..inner]).zip(&prefix[span..]) {
+            *out = E::of((high - low) * share);
+        }
+        out[before + inner..].fill(E::of((prefix[values.len()] - prefix[inner - 1]) * share));
+    }
+}
+
+kernel! {
+    /// `out[p] += factor` times the sum over channels of `a[c][p] b[c][p]`.
+    pub(crate) fn add_products<E>(out: &mut [E], a: &[E], b: &[E], factor: E) {
+        let pixels = out.len();
+        for (a, b) in a.chunks_exact(pixels).zip(b.chunks_exact(pixels)) {
+            for (out, (&a, &b)) in out.iter_mut().zip(a.iter().zip(b)) {
+                *out = multiply_add::<E, FUSED>(factor * a, b, *out);
+            }
+        }
+    }
+}
+
+kernel! {
+    /// `out[c][p] += x[c][p] weight[p]`.
+    pub(crate) fn add_weighted<E>(out: &mut [E], x: &[E], weight: &[E]) {
+        let pixels = weight.len();
+        for (out, x) in out.chunks_exact_mut(pixels).zip(x.chunks_exact(pixels)) {
+            for (out, (&x, &weight)) in out.iter_mut().zip(x.iter().zip(weight)) {
+                *out = multiply_add::<E, FUSED>(x, weight, *out);
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Softmax over the rows of `x`, each of as many pixels as `largest` and `sums` have room for.
+    pub(crate) fn softmax<E>(x: &mut [E], largest: &mut [E], sums: &mut [E]) {
+        let pixels = largest.len();
+        largest.copy_from_slice(&x[..pixels]);
+        for row in x.chunks_exact(pixels).skip(1) {
+            for (largest, &x) in largest.iter_mut().zip(row) {
+                *largest = if x > *largest { x } else { *largest };
+            }
+        }
+        sums.fill(E::default());
+        for row in x.chunks_exact_mut(pixels) {
+            for ((x, &largest), sum) in row.iter_mut().zip(&*largest).zip(&mut *sums) {
+                *x = (*x - largest).exp();
+                *sum += *x;
+            }
+        }
+        for sum in &mut *sums {
+            *sum = E::ONE / *sum;
+        }
+        for row in x.chunks_exact_mut(pixels) {
+            for (x, &share) in row.iter_mut().zip(&*sums) {
+                *x *= share;
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Takes one more `x` into a mean, a maximum and a sum of squared deviations (Welford, "Note on a Method for Calculating Corrected Sums of Squares
+    /// and Products", 1962); `share` is the reciprocal of how many there are with it.
+    pub(crate) fn take_in<E>(mean: &mut [E], largest: &mut [E], squares: &mut [E], x: &[E], share: E) {
+        for (((mean, largest), squares), &x) in mean.iter_mut().zip(largest).zip(squares).zip(x) {
+            let off = x - *mean;
+            *mean = multiply_add::<E, FUSED>(off, share, *mean);
+            *squares = multiply_add::<E, FUSED>(off, x - *mean, *squares);
+            *largest = if x > *largest { x } else { *largest };
+        }
+    }
+}
+
+kernel! {
+    /// `x = sqrt(x share + added)`.
+    pub(crate) fn deviation<E>(x: &mut [E], share: E, added: E) {
+        for x in x.iter_mut() {
+            *x = multiply_add::<E, FUSED>(*x, share, added).root();
+        }
+    }
+}
+
 /// Sets every pixel of channel `c` to `values[c]`, or to zero where there are none.
 pub(crate) fn fill<E: Scalar>(out: &mut [E], channels: usize, values: Option<&[E]>) {
     let pixels = out.len() / channels;

@@ -1,4 +1,5 @@
-//! The network: NAFNet encoder and decoder with a graph convolution over the photos' features, and the per-map adapters.
+//! The networks: that of the paper, a NAFNet encoder and decoder with a graph convolution over the photos' features and per-map adapters; and
+//! the photo graph, which takes any number of photos.
 
 mod adapters;
 mod config;
@@ -11,6 +12,7 @@ mod nafnet;
 mod network;
 mod ops;
 mod params;
+mod photo_graph;
 mod scalar;
 mod tape;
 mod weights;
@@ -20,3 +22,4 @@ pub use config::{Gcn, NetworkConfig};
 pub use decode::Decoding;
 pub use model::{Code, DecoderTrace, Model, Network};
 pub use params::AdapterParams;
+pub use photo_graph::{PhotoGraph, PhotoGraphConfig, Prediction};

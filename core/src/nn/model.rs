@@ -13,6 +13,7 @@ use super::config::NetworkConfig;
 use super::layout::Layout;
 use super::network::{Decoder, Encoded, Encoder, Trace};
 use super::params::AdapterParams;
+use super::photo_graph::{PhotoGraph, PhotoGraphConfig};
 use super::tape::{Param, Planes, Pool};
 use super::weights::{Reader, broken};
 use crate::error::{Error, Result};
@@ -42,17 +43,29 @@ fn channel_order(lobe: Lobe) -> &'static str {
     }
 }
 
-/// The networks of a weights file: one for each number of photos it was trained for.
+/// What a weights file holds: the paper's networks, one for each number of photos they were trained for, or a [`PhotoGraph`].
 ///
 /// Immutable, `Send` and `Sync`: load it once and share it by [`Arc`].
 #[derive(Debug)]
 pub struct Model {
-    networks: Vec<Network>,
+    content: Content,
     license: String,
+    /// What else the file says of itself, such as `data` and `training`.
+    facts: BTreeMap<String, String>,
 }
 
+#[derive(Debug)]
+enum Content {
+    /// That for the fewest photos first; at least one.
+    Networks(Vec<Network>),
+    PhotoGraph(Box<PhotoGraph>),
+}
+
+/// The entries of the metadata that [`Model`] itself reads and writes, beside [`CONVENTIONS`].
+const OWN_METADATA: [&str; 4] = ["channels", "license", "networks", "architecture"];
+
 impl Model {
-    /// Loads all networks of a weights file.
+    /// Loads a weights file, all networks in it.
     ///
     /// # Errors
     /// [`Error::Io`] if the file cannot be opened; [`Error::Weights`] if it is not a weights file of this version, is damaged, states
@@ -61,7 +74,7 @@ impl Model {
         Self::read(Self::open(path.as_ref())?, None)
     }
 
-    /// Loads only the network that a fit with `photos` photos takes, the one for the most photos that are there.
+    /// Loads only the network that a fit with `photos` photos takes: the one for the most photos that are there, or the photo graph.
     ///
     /// # Errors
     /// As [`Model::load`] and [`Model::network`].
@@ -87,7 +100,13 @@ impl Model {
         let networks = configs
             .iter()
             .map(|config| Network::new(config.clone(), |name, shape| Ok(random_tensor(name, shape, &mut state))));
-        Self::from_networks(networks.collect::<Result<_>>()?, "random weights, no licence needed".into())
+        let networks = networks.collect::<Result<_>>()?;
+        Ok(Self::from_networks(networks, "random weights, no licence needed".into(), BTreeMap::new()))
+    }
+
+    /// A model of this photo graph.
+    pub fn from_photo_graph(graph: PhotoGraph, license: impl Into<String>) -> Self {
+        Self { content: Content::PhotoGraph(Box::new(graph)), license: license.into(), facts: BTreeMap::new() }
     }
 
     /// Writes all networks, as `f32`.
@@ -97,17 +116,20 @@ impl Model {
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let path = path.as_ref();
         let (mut infos, mut all, mut end) = (Vec::new(), Vec::new(), 0);
-        for network in &self.networks {
-            let prefix = prefix(&network.config);
-            network.for_each_tensor(|name, shape, values| {
-                let start = end;
-                end += size_of_val(values);
-                infos.push((
-                    format!("{prefix}{name}"),
-                    TensorInfo { dtype: Dtype::F32, shape, data_offsets: (start, end) },
-                ));
-                all.push(values);
-            });
+        let mut add = |name: String, shape, values| {
+            let start = end;
+            end += size_of_val(values);
+            infos.push((name, TensorInfo { dtype: Dtype::F32, shape, data_offsets: (start, end) }));
+            all.push(values);
+        };
+        match &self.content {
+            Content::Networks(networks) => networks.iter().for_each(|network| {
+                let prefix = prefix(&network.config);
+                network.for_each_tensor(|name, shape, values| add(format!("{prefix}{name}"), shape, values));
+            }),
+            Content::PhotoGraph(graph) => {
+                graph.for_each_tensor(|name, shape, values| add(name.to_owned(), shape, values));
+            }
         }
         let unfit = |error: &dyn std::fmt::Display| Error::io(path, std::io::Error::other(error.to_string()));
         let metadata = self.metadata().map_err(|error| unfit(&error))?;
@@ -132,18 +154,37 @@ impl Model {
     /// The network for the most photos that `photos` photos suffice for.
     ///
     /// # Errors
-    /// [`Error::Weights`] naming both numbers if even the network for the fewest photos needs more.
+    /// [`Error::Weights`] naming both numbers if even the network for the fewest photos needs more, or if the model is a photo graph.
     pub fn network(&self, photos: usize) -> Result<&Network> {
-        self.networks
+        let Content::Networks(networks) = &self.content else {
+            return Err(broken("expected the paper's networks, got a photo graph"));
+        };
+        networks
             .iter()
             .rev()
             .find(|network| network.config.photos <= photos)
-            .ok_or_else(|| too_few(self.networks.first().map_or(0, |network| network.config.photos), photos))
+            .ok_or_else(|| too_few(networks.first().map_or(0, |network| network.config.photos), photos))
     }
 
-    /// All networks, that for the fewest photos first.
+    /// All networks of the paper's form, that for the fewest photos first; none if the model is a photo graph.
     pub fn networks(&self) -> &[Network] {
-        &self.networks
+        match &self.content {
+            Content::Networks(networks) => networks,
+            Content::PhotoGraph(_) => &[],
+        }
+    }
+
+    /// The photo graph, if the model is one.
+    pub fn photo_graph(&self) -> Option<&PhotoGraph> {
+        match &self.content {
+            Content::Networks(_) => None,
+            Content::PhotoGraph(graph) => Some(graph),
+        }
+    }
+
+    /// What else the file says of itself: `data` on what the weights were trained and `training` how, where it says so. Not checked.
+    pub fn facts(&self) -> &BTreeMap<String, String> {
+        &self.facts
     }
 
     /// The licence the weights come under, as their file states it.
@@ -155,9 +196,9 @@ impl Model {
         Ok(BufReader::new(File::open(path).map_err(|error| Error::io(path, error))?))
     }
 
-    fn from_networks(mut networks: Vec<Network>, license: String) -> Result<Self> {
+    fn from_networks(mut networks: Vec<Network>, license: String, facts: BTreeMap<String, String>) -> Self {
         networks.sort_by_key(|network| network.config.photos);
-        Ok(Self { networks, license })
+        Self { content: Content::Networks(networks), license, facts }
     }
 
     fn read(source: impl Read + Seek, photos: Option<usize>) -> Result<Self> {
@@ -169,26 +210,21 @@ impl Model {
             }
         }
         let license = reader.metadata("license")?.to_owned();
+        let known: Vec<&str> = CONVENTIONS.iter().map(|convention| convention.0).chain(OWN_METADATA).collect();
+        let facts = reader.other_metadata(&known);
+        if reader.has_metadata("architecture") {
+            let graph = Self::read_photo_graph(&mut reader)?;
+            return Ok(Self { facts, ..Self::from_photo_graph(graph, license) });
+        }
         let configs: Vec<NetworkConfig> = serde_json::from_str(reader.metadata("networks")?)
             .map_err(|error| broken(format!("metadata entry \"networks\": {error}")))?;
         check_together(&configs)?;
-        let (expected, got) = (channel_order(configs[0].lobe), reader.metadata("channels")?);
-        if got != expected {
-            return Err(broken(format!("metadata entry \"channels\": expected \"{expected}\", got \"{got}\"")));
-        }
-
-        let mut unknown = reader.names();
-        for config in &configs {
-            for name in config.all_tensors() {
-                let name = format!("{}{name}", prefix(config));
-                if !unknown.remove(&name) {
-                    return Err(broken(format!("tensor {name} is missing")));
-                }
-            }
-        }
-        if let Some(name) = unknown.first() {
-            return Err(broken(format!("tensor {name:?} belongs to no network")));
-        }
+        check_channels(&reader, configs[0].lobe)?;
+        let named = |config: &NetworkConfig| {
+            let prefix = prefix(config);
+            config.all_tensors().map(move |name| format!("{prefix}{name}")).collect::<Vec<_>>()
+        };
+        check_names(&reader, configs.iter().flat_map(named))?;
 
         let mut chosen = configs;
         if let Some(photos) = photos {
@@ -201,19 +237,56 @@ impl Model {
             let prefix = prefix(&config);
             Network::new(config, |name, shape| reader.read(&format!("{prefix}{name}"), shape))
         });
-        Self::from_networks(networks.collect::<Result<_>>()?, license)
+        Ok(Self::from_networks(networks.collect::<Result<_>>()?, license, facts))
+    }
+
+    fn read_photo_graph(reader: &mut Reader<impl Read + Seek>) -> Result<PhotoGraph> {
+        let config = PhotoGraphConfig::parse(reader.metadata("architecture")?)?;
+        check_channels(reader, Lobe::Isotropic)?;
+        check_names(reader, config.tensors().into_iter().map(|tensor| tensor.0))?;
+        PhotoGraph::new(config, |name, shape| reader.read(name, shape))
     }
 
     fn metadata(&self) -> std::result::Result<HashMap<String, String>, serde_json::Error> {
-        let configs: Vec<_> = self.networks.iter().map(|network| &network.config).collect();
-        let mut metadata: HashMap<String, String> =
-            CONVENTIONS.iter().map(|&(key, value)| (key.into(), value.into())).collect();
+        let mut metadata: HashMap<String, String> = self.facts.clone().into_iter().collect();
+        metadata.extend(CONVENTIONS.iter().map(|&(key, value)| (key.into(), value.into())));
         metadata.insert("license".into(), self.license.clone());
-        metadata.insert("networks".into(), serde_json::to_string(&configs)?);
-        if let Some(first) = configs.first() {
-            metadata.insert("channels".into(), channel_order(first.lobe).into());
-        }
+        let lobe = match &self.content {
+            Content::Networks(networks) => {
+                let configs: Vec<_> = networks.iter().map(|network| &network.config).collect();
+                metadata.insert("networks".into(), serde_json::to_string(&configs)?);
+                configs.first().map_or(Lobe::Isotropic, |first| first.lobe)
+            }
+            Content::PhotoGraph(graph) => {
+                metadata.insert("architecture".into(), graph.config().architecture()?.to_string());
+                Lobe::Isotropic
+            }
+        };
+        metadata.insert("channels".into(), channel_order(lobe).into());
         Ok(metadata)
+    }
+}
+
+/// Fails unless the file states the order of channels that `lobe` has.
+fn check_channels(reader: &Reader<impl Read + Seek>, lobe: Lobe) -> Result<()> {
+    let (expected, got) = (channel_order(lobe), reader.metadata("channels")?);
+    if got == expected {
+        return Ok(());
+    }
+    Err(broken(format!("metadata entry \"channels\": expected \"{expected}\", got \"{got}\"")))
+}
+
+/// Fails unless the file's tensors are exactly those named.
+fn check_names(reader: &Reader<impl Read + Seek>, expected: impl Iterator<Item = String>) -> Result<()> {
+    let mut unknown = reader.names();
+    for name in expected {
+        if !unknown.remove(&name) {
+            return Err(broken(format!("tensor {name} is missing")));
+        }
+    }
+    match unknown.first() {
+        Some(name) => Err(broken(format!("tensor {name:?} belongs to no network"))),
+        None => Ok(()),
     }
 }
 
@@ -241,7 +314,7 @@ fn check_together(configs: &[NetworkConfig]) -> Result<()> {
 }
 
 /// Fixed values for a parameter, of a size that keeps signals alive through the layers.
-fn random_tensor(name: &str, shape: &[usize], state: &mut u64) -> Vec<f32> {
+pub(super) fn random_tensor(name: &str, shape: &[usize], state: &mut u64) -> Vec<f32> {
     let len = shape.iter().product();
     if name.contains("norm") && name.ends_with("weight") || name.ends_with("adj1") {
         return vec![1.0; len];

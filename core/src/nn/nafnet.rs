@@ -5,7 +5,7 @@ use std::sync::Arc;
 use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
-use super::kernels::{add_scaled, dot, fill, gate, gate_backward, norm, norm_backward, scale, scale_shift, sum};
+use super::kernels::{add_scaled, dot, fill, gate, gate_backward, norm, norm_backward, scale, scale_shift, sum, times};
 use super::layout::Layout;
 use super::matrix::{Matrix, multiply};
 use super::ops::{self, depthwise_band, pooled_gradient, taps, total, turned};
@@ -62,18 +62,48 @@ pub(crate) fn block<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, block: &Arc<Blo
     if T::OWNS_TAPE && block.is_tracked() {
         return composed(x, block);
     }
-    if x.layout.channels != block.channels {
-        let expected = format!("{} channels", block.channels);
-        return Err(crate::error::Error::shape("block", expected, x.layout.channels.to_string()));
-    }
+    check_channels(block, x.layout)?;
     let (layout, records) = (x.layout, x.records());
-    let (out, kept) = forward(block, layout, x.values(), x.pool(), records);
+    let purpose = if records { Purpose::Gradient } else { Purpose::Value { window: None } };
+    let (out, kept) = forward(block, layout, x.values(), x.pool(), purpose);
     let (x, tape) = x.split();
     let block = block.clone();
     record(out, layout, tape, records, move |dy, grads| {
         let Some(kept) = kept else { return Ok(()) };
         x.add_gradient(grads, || kept.backward(&block, layout, x.values(), x.pool(), dy))
     })
+}
+
+/// The block without gradient, its channel attention averaging over windows of `window` pixels (see [`ops::window_means`]), or over all pixels
+/// where one window covers them or there is none.
+pub(crate) fn block_within<E: Scalar>(x: Planes<E>, block: &Block<E>, window: Option<usize>) -> Result<Planes<E>> {
+    check_channels(block, x.layout)?;
+    Planes::of(forward(block, x.layout, x.values(), x.pool(), Purpose::Value { window }).0, x.layout)
+}
+
+fn check_channels<E: Scalar>(block: &Block<E>, layout: Layout) -> Result<()> {
+    if layout.channels == block.channels {
+        return Ok(());
+    }
+    let expected = format!("{} channels", block.channels);
+    Err(crate::error::Error::shape("block", expected, layout.channels.to_string()))
+}
+
+/// What a block is run for.
+#[derive(Clone, Copy, PartialEq)]
+enum Purpose {
+    /// Its gradient too.
+    Gradient,
+    /// Its value alone, channel attention averaging over windows of so many pixels.
+    Value { window: Option<usize> },
+}
+
+/// What channel attention multiplies with.
+enum Attention<E: Scalar> {
+    /// One factor for each channel.
+    Factors(Vec<E>),
+    /// The means that make the factors of every pixel.
+    Means(Buffer<E>),
 }
 
 /// The block, operation by operation.
@@ -117,7 +147,7 @@ fn pieces<E: Scalar>(buffer: Option<&mut Buffer<E>>, len: usize, bands: usize) -
 }
 
 /// `out = weight x + bias` for a band.
-fn linear<E: Scalar>(out: &mut [E], layer: &Layer<E>, x: &[E], channels: usize) {
+pub(crate) fn linear<E: Scalar>(out: &mut [E], layer: &Layer<E>, x: &[E], channels: usize) {
     let (pixels, outputs) = (x.len() / channels, layer.bias.values().len());
     fill(out, outputs, Some(layer.bias.values()));
     multiply(out, true, Matrix::new(layer.weight.values(), outputs, channels), Matrix::new(x, channels, pixels));
@@ -136,14 +166,15 @@ fn second_gate_input<E: Scalar>(out: &mut [E], block: &Block<E>, middle: &[E], n
     linear(out, &block.conv4, normal, block.channels);
 }
 
-/// The block's output, and what [`Kept::backward`] needs if `keep`.
+/// The block's output, and what [`Kept::backward`] needs if it is run for its gradient.
 fn forward<E: Scalar>(
     block: &Block<E>,
     layout: Layout,
     x: &[E],
     pool: &Pool<E>,
-    keep: bool,
+    purpose: Purpose,
 ) -> (Buffer<E>, Option<Kept<E>>) {
+    let keep = purpose == Purpose::Gradient;
     let (c, bands) = (block.channels, layout.bands());
     let (single, double) = (layout.band_len(), 2 * layout.band_len());
     let wide = layout.with_channels(2 * c);
@@ -171,9 +202,16 @@ fn forward<E: Scalar>(
         })
         .collect();
     drop(expanded);
-    let mut mean = total(&sums);
-    mean.iter_mut().for_each(|mean| *mean *= E::of(1.0 / layout.pixels() as f64));
-    let factor = ops::affine(block.sca.weight.values(), &mean, block.sca.bias.values());
+    let attention = match purpose {
+        Purpose::Value { window: Some(window) } if window < layout.height.max(layout.width) => {
+            Attention::Means(ops::window_means(&gated, layout, window, pool))
+        }
+        _ => {
+            let mut mean = total(&sums);
+            mean.iter_mut().for_each(|mean| *mean *= E::of(1.0 / layout.pixels() as f64));
+            Attention::Factors(ops::affine(block.sca.weight.values(), &mean, block.sca.bias.values()))
+        }
+    };
 
     let mut out = pool.take(layout.len());
     let mut middle = keep.then(|| pool.take(layout.len()));
@@ -182,9 +220,16 @@ fn forward<E: Scalar>(
         .into_par_iter()
         .zip(pieces(gate2.as_mut(), double, bands))
         .zip(out.par_chunks_mut(single).zip(x.par_chunks(single)).zip(gated.par_chunks_mut(single)))
-        .for_each(|((middle, gate2), ((out, x), gated))| {
+        .enumerate()
+        .for_each(|(band, ((middle, gate2), ((out, x), gated)))| {
             let mut narrow = pool.take(x.len());
-            scale(&mut narrow, gated, &factor);
+            match &attention {
+                Attention::Factors(factors) => scale(&mut narrow, gated, factors),
+                Attention::Means(means) => {
+                    linear(&mut narrow, &block.sca, &means[band * single..][..x.len()], c);
+                    times(&mut narrow, gated);
+                }
+            }
             linear(gated, &block.conv3, &narrow, c);
             out.copy_from_slice(x);
             add_scaled(out, gated, block.beta.values());
@@ -198,7 +243,10 @@ fn forward<E: Scalar>(
             linear(&mut narrow, &block.conv5, gated, c);
             add_scaled(out, &narrow, block.gamma.values());
         });
-    let kept = gate1.zip(middle).map(|(gate1, middle)| Kept { gate1, factor, middle, gate2 });
+    let kept = match (gate1, middle, attention) {
+        (Some(gate1), Some(middle), Attention::Factors(factor)) => Some(Kept { gate1, factor, middle, gate2 }),
+        _ => None,
+    };
     (out, kept)
 }
 
@@ -262,7 +310,7 @@ impl<E: Scalar> Kept<E> {
 mod tests {
     use std::sync::Arc;
 
-    use super::{Block, block, composed};
+    use super::{Block, block, block_within, composed};
     use crate::nn::layout::Layout;
     use crate::nn::ops::testing::{check, compare, numbers};
     use crate::nn::params::block_tensors;
@@ -304,6 +352,32 @@ mod tests {
             let get = |name: &str| Ok(params[tensors.iter().position(|tensor| tensor.0 == name).unwrap()].clone());
             block(x, &Arc::new(Block::new(5, get)?))
         });
+    }
+
+    #[test]
+    fn windows() {
+        let layout = Layout { channels: 3, height: 20, width: 40 };
+        let block_ = random(3);
+        let x = Planes::constant(numbers(layout.len(), 3), layout).unwrap();
+        let global = block(x.branch(), &block_).unwrap();
+        for window in [None, Some(40), Some(1000)] {
+            let out = block_within(x.branch(), &block_, window).unwrap();
+            compare(out.values(), global.values(), 1e-13, "one window");
+        }
+        let local = block_within(x.branch(), &block_, Some(39)).unwrap();
+        let off = local.values().iter().zip(global.values()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off > 1e-4, "{off}");
+        // With one pixel to a window the block has no memory of the rest: a change reaches its neighbours only.
+        let mut moved = x.values().to_vec();
+        moved[layout.row(1, 9).start + 20] += 0.5;
+        let moved = Planes::constant(moved, layout).unwrap();
+        let [a, b] = [x, moved].map(|x| block_within(x, &block_, Some(1)).unwrap());
+        let [a, b] = [a, b].map(|out| layout.unpack(out.values(), 20, 40));
+        for (at, (a, b)) in a.iter().zip(&b).enumerate() {
+            let near = (at / 40 % 20).abs_diff(9) <= 1 && (at % 40).abs_diff(20) <= 1;
+            // The sums that glide over the picture are rounded.
+            assert_eq!((a - b).abs() > 1e-12, near, "{at}");
+        }
     }
 
     #[test]

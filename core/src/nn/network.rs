@@ -15,13 +15,21 @@ use crate::fit::progress::Control;
 /// What gives a network's parameters by name.
 pub(crate) type Source<'a, E> = dyn FnMut(&str) -> Result<Param<E>> + 'a;
 
-fn layer<E: Scalar>(get: &mut Source<'_, E>, name: &str) -> Result<Layer<E>> {
+/// Weight and bias of layer `name`.
+pub(crate) fn layer<E: Scalar>(get: &mut Source<'_, E>, name: &str) -> Result<Layer<E>> {
     Ok(Layer { weight: get(&format!("{name}.weight"))?, bias: get(&format!("{name}.bias"))? })
 }
 
-type Blocks<E> = Vec<Arc<Block<E>>>;
+/// Blocks that run one after the other.
+pub(crate) type Blocks<E> = Vec<Arc<Block<E>>>;
 
-fn blocks<E: Scalar>(get: &mut Source<'_, E>, name: &str, count: usize, channels: usize) -> Result<Blocks<E>> {
+/// The `count` blocks `name.0`, `name.1`, ...
+pub(crate) fn blocks<E: Scalar>(
+    get: &mut Source<'_, E>,
+    name: &str,
+    count: usize,
+    channels: usize,
+) -> Result<Blocks<E>> {
     let one = |index| Ok(Arc::new(Block::new(channels, |tensor| get(&format!("{name}.{index}.{tensor}")))?));
     (0..count).map(one).collect()
 }

@@ -14,6 +14,8 @@ pub(crate) trait Scalar: Dtype {
     fn root(self) -> Self;
     /// Hyperbolic tangent.
     fn tanh(self) -> Self;
+    /// e to the power of `self`.
+    fn exp(self) -> Self;
 }
 
 macro_rules! scalar {
@@ -37,6 +39,9 @@ macro_rules! scalar {
             }
             fn tanh(self) -> Self {
                 self.tanh()
+            }
+            fn exp(self) -> Self {
+                self.exp()
             }
         }
     };

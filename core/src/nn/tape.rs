@@ -56,6 +56,11 @@ impl<E: Scalar> Pool<E> {
         buffer
     }
 
+    /// Gives the memory that is not in use back to the system.
+    pub fn release(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
     fn adopt(&self, values: Vec<E>) -> Buffer<E> {
         Buffer { values, pool: self.clone() }
     }
@@ -184,7 +189,8 @@ impl<E: Scalar> Planes<E> {
         Self::of(pool.adopt(values), layout)
     }
 
-    fn of(values: Buffer<E>, layout: Layout) -> Result<Self> {
+    /// An image of `values` whose gradient nobody asks for.
+    pub fn of(values: Buffer<E>, layout: Layout) -> Result<Self> {
         if values.len() != layout.len() {
             return Err(Error::shape("planes", layout.len().to_string(), values.len().to_string()));
         }
@@ -215,6 +221,11 @@ impl<E: Scalar> Planes<E> {
     /// Adds what `gradient` gives to the gradient, if it is asked for.
     pub fn add_gradient(&self, grads: &mut Grads<E>, gradient: impl FnOnce() -> Buffer<E>) -> Returned {
         self.slot().add(grads, gradient)
+    }
+
+    /// The values, to be changed; copied if another image shares them.
+    pub fn into_buffer(self) -> Buffer<E> {
+        Arc::try_unwrap(self.values).unwrap_or_else(|shared| shared.pool.copy(&shared))
     }
 
     /// The image with `tape`.

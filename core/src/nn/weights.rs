@@ -1,6 +1,6 @@
 //! Reading weights files, which may be broken or hostile.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, SeekFrom};
 
 use half::f16;
@@ -55,6 +55,17 @@ impl<R: Read + Seek> Reader<R> {
     pub fn metadata(&self, key: &str) -> Result<&str> {
         let found = self.header.metadata().as_ref().and_then(|metadata| metadata.get(key));
         found.map(String::as_str).ok_or_else(|| broken(format!("metadata entry \"{key}\" is missing")))
+    }
+
+    /// Whether the file's metadata have this entry.
+    pub fn has_metadata(&self, key: &str) -> bool {
+        self.metadata(key).is_ok()
+    }
+
+    /// The entries of the file's metadata whose keys are not among `known`.
+    pub fn other_metadata(&self, known: &[&str]) -> BTreeMap<String, String> {
+        let all = self.header.metadata().iter().flatten();
+        all.filter(|(key, _)| !known.contains(&key.as_str())).map(|(key, value)| (key.clone(), value.clone())).collect()
     }
 
     /// The names of all tensors.

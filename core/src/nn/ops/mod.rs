@@ -10,6 +10,7 @@ mod residual;
 mod shuffle;
 #[cfg(test)]
 pub(crate) mod testing;
+mod window;
 
 pub(crate) use attention::{affine, channel_attention, pooled_gradient, total};
 pub(crate) use conv::{conv3x3, pointwise};
@@ -19,6 +20,7 @@ pub(crate) use graph::{Graph, graph_convolution};
 pub(crate) use norm::layer_norm;
 pub(crate) use residual::residual;
 pub(crate) use shuffle::{pixel_shuffle, pixel_unshuffle};
+pub(crate) use window::window_means;
 
 use super::scalar::Scalar;
 use super::tape::Param;

@@ -1,0 +1,80 @@
+//! What the network sees of a photo.
+
+use std::f64::consts::PI;
+
+use rayon::prelude::*;
+
+use super::config::{INPUTS, RATIO_MAX};
+use crate::capture::Photo;
+use crate::error::Result;
+use crate::nn::layout::Layout;
+use crate::nn::tape::{Planes, Pool};
+
+const GAMMA: f64 = 2.2;
+/// Smallest radiance of the white surface, and smallest ratio to it.
+const WHITE_MIN: f64 = 1e-4;
+const RATIO_MIN: f32 = 1e-6;
+
+/// The [`INPUTS`] planes of a photo of a patch `patch_size` wide, zero beyond the photo. `layout` has as many channels.
+///
+/// Planes: the photo in gamma 2.2, clamped to [0, 1], 3; the gamma 2.2 encoding of its ratio to what a white diffuse patch facing +z would
+/// show, at most 4, 3; saturation, 1; direction to the light, 3; half vector, 3 (`python/training/camera.py`, `network_input`). Half the
+/// width of the patch is the unit of length.
+pub(super) fn planes(photo: &Photo, patch_size: f64, layout: Layout, pool: &Pool<f32>) -> Result<Planes<f32>> {
+    let (width, height) = (photo.image.width(), photo.image.height());
+    let unit = patch_size / 2.0;
+    let camera = photo.shot.camera.map(|value| value / unit);
+    let light = photo.shot.light.map(|value| value / unit);
+    // Radiance of the white surface where light falls straight on it from the distance 1.
+    let white = photo.shot.light_intensity.map(|value| value / (unit * unit * PI));
+    let ratio_max = (RATIO_MAX.powf(GAMMA)) as f32;
+    let root = (1.0 / GAMMA) as f32;
+
+    let mut out = pool.take(layout.len());
+    out.par_chunks_mut(layout.band_len()).enumerate().for_each(|(band, out)| {
+        out.fill(0.0);
+        let rows = layout.band_rows(band);
+        let plane = rows.len() * layout.width;
+        debug_assert_eq!(out.len(), INPUTS * plane);
+        for row in rows.start..rows.end.min(height) {
+            let y = -((row as f64 + 0.5) / height as f64 - 0.5) * 2.0 * height as f64 / width as f64;
+            let start = (row - rows.start) * layout.width;
+            for column in 0..width {
+                let x = ((column as f64 + 0.5) / width as f64 - 0.5) * 2.0;
+                let (to_light, distance2) = direction(light, x, y);
+                let (view, _) = direction(camera, x, y);
+                let sum = [0, 1, 2].map(|axis| view[axis] + to_light[axis]);
+                let half = scaled(sum, 1.0 / square(sum).max(1e-30).sqrt());
+                let falloff = to_light[2].max(0.0) / distance2;
+                let pixel = row * width + column;
+                let values = &photo.image.data()[3 * pixel..3 * pixel + 3];
+                let mut set = |channel: usize, value: f32| out[channel * plane + start + column] = value;
+                for channel in 0..3 {
+                    let linear = values[channel].clamp(0.0, 1.0);
+                    let ratio = linear / (white[channel] * falloff).max(WHITE_MIN) as f32;
+                    set(channel, linear.powf(root));
+                    set(3 + channel, ratio.clamp(RATIO_MIN, ratio_max).powf(root));
+                    set(7 + channel, to_light[channel] as f32);
+                    set(10 + channel, half[channel] as f32);
+                }
+                set(6, if photo.saturated[pixel] == 0 { 0.0 } else { 1.0 });
+            }
+        }
+    });
+    Planes::of(out, layout)
+}
+
+fn square(v: [f64; 3]) -> f64 {
+    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+}
+
+fn scaled(v: [f64; 3], factor: f64) -> [f64; 3] {
+    v.map(|value| value * factor)
+}
+
+/// The unit vector from (x, y, 0) to `position`, and the squared distance.
+fn direction(position: [f64; 3], x: f64, y: f64) -> ([f64; 3], f64) {
+    let to = [position[0] - x, position[1] - y, position[2]];
+    let distance2 = square(to);
+    (scaled(to, 1.0 / distance2.max(1e-30).sqrt()), distance2)
+}

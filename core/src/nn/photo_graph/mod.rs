@@ -1,0 +1,192 @@
+//! The `default` network: any number of photos with their light and half vectors in, raw maps and their certainty out.
+//!
+//! `python/training/model.py` states it in full. The photos are the nodes of a graph; nothing depends on their order.
+
+mod config;
+mod input;
+mod net;
+mod rounds;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::decode::Decoding;
+use super::layout::Layout;
+use super::scalar::Scalar;
+use super::tape::Param;
+use super::weights::broken;
+use crate::capture::Capture;
+use crate::error::{Error, Result};
+use crate::fit::progress::Control;
+use crate::maps::{Lobe, Maps};
+pub use config::PhotoGraphConfig;
+use config::{INPUTS, RAW_PLANES};
+use net::{Net, Output};
+use rounds::DIRECTIONS;
+
+/// A network that takes any number of photos with the places of camera and light, and gives raw maps and how certain they are.
+///
+/// Immutable, `Send` and `Sync`.
+pub struct PhotoGraph {
+    config: PhotoGraphConfig,
+    tensors: BTreeMap<String, Arc<Vec<f32>>>,
+    net: Net<f32>,
+}
+
+impl std::fmt::Debug for PhotoGraph {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("PhotoGraph").field(&self.config).finish()
+    }
+}
+
+/// What a photo graph makes of a capture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prediction {
+    /// Rows of all planes.
+    pub height: usize,
+    /// Columns of all planes.
+    pub width: usize,
+    /// Raw maps in the order of [`Decoding`], (9, H, W): diffuse 3, normal x and y, roughness 1, specular 3; not limited to [-1, 1].
+    pub raw: Vec<f32>,
+    /// The natural logarithm of the standard deviation of each raw value, (9, H, W), [-7, 1]. Its unit is the encoded map: half of a
+    /// raw albedo or roughness, a normal's x and y as they are.
+    pub log_sigma: Vec<f32>,
+}
+
+impl PhotoGraph {
+    /// A network whose tensors `get` gives by name and shape.
+    pub(crate) fn new(
+        config: PhotoGraphConfig,
+        mut get: impl FnMut(&str, &[usize]) -> Result<Vec<f32>>,
+    ) -> Result<Self> {
+        config.validate()?;
+        let mut tensors = BTreeMap::new();
+        for (name, shape) in config.tensors() {
+            let values = Arc::new(get(&name, &shape)?);
+            tensors.insert(name, values);
+        }
+        let net = build(&config, &tensors, Clone::clone)?;
+        Ok(Self { config, tensors, net })
+    }
+
+    /// A network of these sizes with random weights, the same for the same `seed`: for benchmarks and tests.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] if a size is out of range.
+    pub fn random(config: PhotoGraphConfig, seed: u64) -> Result<Self> {
+        let mut state = seed;
+        Self::new(config, |name, shape| Ok(super::model::random_tensor(name, shape, &mut state)))
+    }
+
+    /// Sizes and form.
+    pub fn config(&self) -> &PhotoGraphConfig {
+        &self.config
+    }
+
+    /// Kind, sizes and form, as a weights file states them in JSON.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] if they cannot be written as JSON.
+    pub fn architecture(&self) -> Result<serde_json::Value> {
+        self.config.architecture().map_err(|error| broken(format!("architecture: {error}")))
+    }
+
+    /// How many parameters there are.
+    pub fn parameters(&self) -> usize {
+        self.tensors.values().map(|values| values.len()).sum()
+    }
+
+    pub(crate) fn for_each_tensor<'a>(&'a self, mut visit: impl FnMut(&str, Vec<usize>, &'a [f32])) {
+        for (name, shape) in self.config.tensors() {
+            if let Some(values) = self.tensors.get(&name) {
+                visit(&name, shape, values);
+            }
+        }
+    }
+
+    /// How the raw planes of a [`Prediction`] become maps.
+    ///
+    /// # Errors
+    /// As [`Decoding::with_roughness_floor`].
+    pub fn decoding(&self) -> Result<Decoding> {
+        Decoding::new(Lobe::Isotropic).with_roughness_floor(f64::from(self.config.roughness_floor))
+    }
+
+    /// The maps that `prediction` says.
+    ///
+    /// # Errors
+    /// [`Error::ShapeMismatch`] if `prediction` has not nine planes of its size.
+    pub fn maps(&self, prediction: &Prediction) -> Result<Maps<f32>> {
+        let Prediction { height, width, ref raw, .. } = *prediction;
+        let mut maps = Maps::new(Lobe::Isotropic, width, height, vec![0.0; Lobe::Isotropic.planes() * height * width])?;
+        self.decoding()?.decode(raw, &mut maps)?;
+        Ok(maps)
+    }
+
+    /// Raw maps and their certainty from all photos of `capture`, on the threads of the current rayon pool; `control` is polled between the parts.
+    ///
+    /// Every photo is read once and its full-resolution features are dropped before the next, see [`PhotoGraph::memory`].
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`]; [`Error::NonFinite`] if the network gives values that are not finite.
+    pub fn predict(&self, capture: &Capture, control: &mut Control<'_>) -> Result<Prediction> {
+        let (height, width) = (capture.height(), capture.width());
+        let layout = padded(&self.config, height, width);
+        let photo =
+            |index: usize, pool: &_| input::planes(&capture.photos()[index], capture.patch_size(), layout, pool);
+        let Output { raw, log_sigma } =
+            self.net.run(&self.config, capture.len(), layout, (height, width), photo, control)?;
+        if !raw.par_iter().chain(&log_sigma).all(|value| value.is_finite()) {
+            return Err(Error::NonFinite { stage: "prediction".into(), iteration: 0 });
+        }
+        Ok(Prediction { height, width, raw, log_sigma })
+    }
+
+    /// Estimated bytes that [`PhotoGraph::predict`] takes at its peak for `photos` photos of `height` x `width` pixels, beyond capture and parameters.
+    pub fn memory(&self, photos: usize, height: usize, width: usize) -> u64 {
+        let config = &self.config;
+        let grain = config.grain() as u64;
+        let pixels = (height as u64).next_multiple_of(grain).saturating_mul((width as u64).next_multiple_of(grain));
+        // Channels of full resolution; those of half resolution count a quarter. A block has its input, twice as many channels
+        // before its gate, those after it, their means, and its output.
+        const BLOCK: u64 = 6;
+        let of = |channels: usize| channels as u64;
+        let quarter = |channels: u64| channels.div_ceil(4);
+        let (stem, node, tail) = (of(config.stem), of(config.node), of(config.tail));
+        // No machine holds more photos than this.
+        let nodes = (photos as u64).min(1 << 32) * quarter(node + of(DIRECTIONS));
+        let photo =
+            of(INPUTS) + 2 * stem + quarter(BLOCK * node) + if config.stem_blocks > 0 { BLOCK * stem } else { 0 };
+        let see = (3 * stem + 1) + tail + photo + nodes;
+        let exchange = tail + nodes + quarter(BLOCK * node + 3 * node + 1);
+        // All levels below half resolution together have at most as many values as it.
+        let trunk = tail + quarter(2 * (BLOCK + 2) * of(config.width) + 3 * node + 1);
+        let feature = of(config.feature);
+        let end = quarter(of(config.width)) + (BLOCK + 2) * tail + BLOCK * feature + 4 * of(RAW_PLANES);
+        let channels = see.max(exchange).max(trunk).max(end);
+        channels.saturating_mul(pixels).saturating_mul(size_of::<f32>() as u64)
+    }
+}
+
+/// The layers of `config` with the tensors as `convert` gives them.
+fn build<E: Scalar>(
+    config: &PhotoGraphConfig,
+    tensors: &BTreeMap<String, Arc<Vec<f32>>>,
+    convert: impl Fn(&Arc<Vec<f32>>) -> Arc<Vec<E>>,
+) -> Result<Net<E>> {
+    Net::new(config, &mut |name| match tensors.get(name) {
+        Some(values) => Ok(Param::constant(convert(values))),
+        None => Err(broken(format!("tensor {name} is missing"))),
+    })
+}
+
+/// The layout of a photo's planes.
+fn padded(config: &PhotoGraphConfig, height: usize, width: usize) -> Layout {
+    let grain = config.grain();
+    Layout { channels: INPUTS, height: height.next_multiple_of(grain), width: width.next_multiple_of(grain) }
+}
+
+#[cfg(test)]
+mod tests;

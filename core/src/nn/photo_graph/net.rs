@@ -1,0 +1,282 @@
+//! The photo graph, put together from operations; no gradients.
+
+use super::config::{ADAPTERS, LOG_SIGMA, PhotoGraphConfig};
+use super::rounds::{DIRECTIONS, Node, Pooling, Round};
+use crate::error::{Error, Result};
+use crate::fit::progress::Control;
+use crate::nn::layout::Layout;
+use crate::nn::nafnet::{Block, Layer, block_within};
+use crate::nn::network::{Blocks, Source, blocks, layer};
+use crate::nn::ops::{conv3x3, pixel_shuffle, pixel_unshuffle, pointwise};
+use crate::nn::scalar::Scalar;
+use crate::nn::tape::{Param, Planes, Pool};
+
+use rayon::prelude::*;
+
+/// First plane of a photo's directions.
+const FIRST_DIRECTION: usize = 7;
+/// Values of an image from which on freed memory goes back to the system between operations, instead of waiting for the next: getting it again
+/// is then little work beside the operation's.
+const LARGE: usize = 1 << 24;
+
+/// A block and a 3x3 convolution.
+struct Adapter<E: Scalar> {
+    block: Block<E>,
+    end: Layer<E>,
+}
+
+impl<E: Scalar> Adapter<E> {
+    fn new(get: &mut Source<'_, E>, name: &str, channels: usize) -> Result<Self> {
+        let block = Block::new(channels, |tensor| get(&format!("{name}.conv.{tensor}")))?;
+        Ok(Self { block, end: layer(get, &format!("{name}.end"))? })
+    }
+
+    fn run(&self, x: Planes<E>, window: Option<usize>) -> Result<Planes<E>> {
+        conv3x3(block_within(x, &self.block, window)?, 1, &self.end.weight, &self.end.bias)
+    }
+}
+
+/// A level of the trunk: blocks, the way down, the way up, blocks.
+struct Level<E: Scalar> {
+    encoder: Blocks<E>,
+    down: Layer<E>,
+    up: Param<E>,
+    decoder: Blocks<E>,
+}
+
+/// The layers of a photo graph; the names are those of a weights file.
+pub(super) struct Net<E: Scalar> {
+    intro: Layer<E>,
+    stem: Blocks<E>,
+    fold: Layer<E>,
+    node: Blocks<E>,
+    rounds: Vec<Round<E>>,
+    entry: Layer<E>,
+    /// Half resolution first.
+    levels: Vec<Level<E>>,
+    middle: Blocks<E>,
+    unfold: Param<E>,
+    skip: Layer<E>,
+    tail: Blocks<E>,
+    ending: Layer<E>,
+    adapters: Vec<Adapter<E>>,
+    certainty: Adapter<E>,
+}
+
+/// What a run gives: planes of the size that was asked for, one after the other.
+pub(super) struct Output<E> {
+    pub raw: Vec<E>,
+    pub log_sigma: Vec<E>,
+}
+
+/// A 2x2 convolution of stride 2.
+fn half<E: Scalar>(x: Planes<E>, layer: &Layer<E>) -> Result<Planes<E>> {
+    pointwise(pixel_unshuffle(x)?, &layer.weight, Some(&layer.bias))
+}
+
+fn run_blocks<E: Scalar>(
+    mut x: Planes<E>,
+    blocks: &Blocks<E>,
+    window: Option<usize>,
+    control: &mut Control<'_>,
+) -> Result<Planes<E>> {
+    for block in blocks {
+        control.poll()?;
+        x = relaxed(block_within(x, block, window)?);
+    }
+    Ok(x)
+}
+
+/// `x`, after giving memory back if it is large.
+fn relaxed<E: Scalar>(x: Planes<E>) -> Planes<E> {
+    if x.layout.len() >= LARGE {
+        x.pool().release();
+    }
+    x
+}
+
+impl<E: Scalar> Net<E> {
+    /// The network whose parameters `get` gives by name.
+    pub fn new(config: &PhotoGraphConfig, get: &mut Source<'_, E>) -> Result<Self> {
+        let levels = config.levels();
+        let level = |level: usize| {
+            let (step, channels, count) = (levels - 1 - level, config.channels(level), config.blocks[level]);
+            Ok(Level {
+                encoder: blocks(get, &format!("encoders.{level}"), count, channels)?,
+                down: layer(get, &format!("downs.{level}"))?,
+                up: get(&format!("ups.{step}.0.weight"))?,
+                decoder: blocks(get, &format!("decoders.{step}"), count, channels)?,
+            })
+        };
+        let levels = (0..levels).map(level).collect::<Result<_>>()?;
+        let rounds = (0..config.rounds).map(|round| Round::new(config, get, &format!("rounds.{round}")));
+        let rounds = rounds.collect::<Result<_>>()?;
+        let adapters = ADAPTERS.map(|(name, _)| Adapter::new(get, name, config.feature));
+        let adapters = adapters.into_iter().collect::<Result<_>>()?;
+        Ok(Self {
+            intro: layer(get, "intro")?,
+            stem: blocks(get, "stem", config.stem_blocks, config.stem)?,
+            fold: layer(get, "fold")?,
+            node: blocks(get, "node", 1, config.node)?,
+            rounds,
+            entry: layer(get, "entry")?,
+            levels,
+            middle: blocks(get, "middle_blks", config.middle, config.channels(config.levels()))?,
+            unfold: get("unfold.weight")?,
+            skip: layer(get, "skip")?,
+            tail: blocks(get, "tail", config.tail_blocks, config.tail)?,
+            ending: layer(get, "ending")?,
+            adapters,
+            certainty: Adapter::new(get, "certainty", config.tail)?,
+        })
+    }
+
+    /// Raw maps and the logarithm of their standard deviations, of `photos` photos.
+    ///
+    /// `layout` is that of a photo's planes: sides that are multiples of [`PhotoGraphConfig::grain`]. `photo` gives the planes of each; they are asked for
+    /// once, in order, and let go. `size`: rows and columns of what comes out.
+    pub fn run(
+        &self,
+        config: &PhotoGraphConfig,
+        photos: usize,
+        layout: Layout,
+        size: (usize, usize),
+        mut photo: impl FnMut(usize, &Pool<E>) -> Result<Planes<E>>,
+        control: &mut Control<'_>,
+    ) -> Result<Output<E>> {
+        let pool = Pool::default();
+        let (fine, nodes) = self.see(config, photos, layout, &mut |index| photo(index, &pool), &pool, control)?;
+        let at_half = half_layout(layout).with_channels(config.node);
+        let coarse = self.exchange(config, nodes, at_half, &pool, control)?;
+        let (raw, log_sigma) = self.restore(config, fine, coarse, &pool, control)?;
+        let unpack = |planes: &Planes<E>| planes.layout.unpack(planes.values(), size.0, size.1);
+        Ok(Output { raw: raw.iter().flat_map(unpack).collect(), log_sigma: unpack(&log_sigma) })
+    }
+
+    /// Every photo by itself: what the pooled features of full resolution add to the tail, and the nodes.
+    fn see(
+        &self,
+        config: &PhotoGraphConfig,
+        photos: usize,
+        layout: Layout,
+        photo: &mut dyn FnMut(usize) -> Result<Planes<E>>,
+        pool: &Pool<E>,
+        control: &mut Control<'_>,
+    ) -> Result<(Planes<E>, Vec<Node<E>>)> {
+        let mut fine = Pooling::new(layout.with_channels(config.stem), pool);
+        let mut nodes = Vec::with_capacity(photos);
+        for index in 0..photos {
+            control.poll()?;
+            let x = photo(index)?;
+            if x.layout != layout {
+                return Err(Error::shape("planes of a photo", format!("{layout:?}"), format!("{:?}", x.layout)));
+            }
+            let directions = halved_directions(&x)?;
+            let x = relaxed(conv3x3(x, 1, &self.intro.weight, &self.intro.bias)?);
+            let x = run_blocks(x, &self.stem, config.window_at(0), control)?;
+            fine.add(x.values());
+            let x = run_blocks(relaxed(half(x, &self.fold)?), &self.node, config.window_at(1), control)?;
+            nodes.push(Node { features: x.into_buffer(), directions: directions.into_buffer() });
+        }
+        pool.release();
+        let fine = pointwise(fine.finish()?, &self.skip.weight, Some(&self.skip.bias))?;
+        pool.release();
+        Ok((fine, nodes))
+    }
+
+    /// The rounds of messages: pooled features at half resolution.
+    fn exchange(
+        &self,
+        config: &PhotoGraphConfig,
+        mut nodes: Vec<Node<E>>,
+        layout: Layout,
+        pool: &Pool<E>,
+        control: &mut Control<'_>,
+    ) -> Result<Planes<E>> {
+        for round in &self.rounds {
+            control.poll()?;
+            round.exchange(&mut nodes, layout, pool);
+            let through_block = |Node { features, directions }| {
+                control.poll()?;
+                let features = Planes::of(features, layout)?;
+                let features = relaxed(block_within(features, &round.block, config.window_at(1))?);
+                Ok(Node { features: features.into_buffer(), directions })
+            };
+            nodes = nodes.into_iter().map(through_block).collect::<Result<_>>()?;
+        }
+        let mut coarse = Pooling::new(layout, pool);
+        for node in nodes {
+            coarse.add(&node.features);
+        }
+        pool.release();
+        coarse.finish()
+    }
+
+    /// Raw maps of each adapter and the logarithm of their standard deviations, from what the photos gave at full and at half resolution.
+    fn restore(
+        &self,
+        config: &PhotoGraphConfig,
+        fine: Planes<E>,
+        coarse: Planes<E>,
+        pool: &Pool<E>,
+        control: &mut Control<'_>,
+    ) -> Result<(Vec<Planes<E>>, Planes<E>)> {
+        let mut x = pointwise(coarse, &self.entry.weight, Some(&self.entry.bias))?;
+        let mut skips = Vec::with_capacity(self.levels.len());
+        for (depth, level) in self.levels.iter().enumerate() {
+            x = run_blocks(x, &level.encoder, config.window_at(depth + 1), control)?;
+            skips.push(x.branch());
+            x = half(x, &level.down)?;
+        }
+        x = run_blocks(x, &self.middle, config.window_at(self.levels.len() + 1), control)?;
+        for ((depth, level), skip) in self.levels.iter().enumerate().zip(skips).rev() {
+            x = pixel_shuffle(pointwise(x, &level.up, None)?, Some(skip))?;
+            x = run_blocks(x, &level.decoder, config.window_at(depth + 1), control)?;
+        }
+        pool.release();
+        x = pixel_shuffle(pointwise(x, &self.unfold, None)?, Some(fine))?;
+        let window = config.window_at(0);
+        x = run_blocks(x, &self.tail, window, control)?;
+        control.poll()?;
+        let mut log_sigma = self.certainty.run(x.branch(), window)?.into_buffer();
+        let (low, high) = (E::of(LOG_SIGMA[0]), E::of(LOG_SIGMA[1]));
+        // Not a number stays what it is.
+        log_sigma.par_iter_mut().for_each(|value| {
+            if *value < low {
+                *value = low;
+            } else if *value > high {
+                *value = high;
+            }
+        });
+        let log_sigma = Planes::of(log_sigma, x.layout.with_channels(super::config::RAW_PLANES))?;
+        let feature = conv3x3(x, 1, &self.ending.weight, &self.ending.bias)?;
+        let adapt = |adapter: &Adapter<E>| {
+            control.poll()?;
+            adapter.run(feature.branch(), window)
+        };
+        Ok((self.adapters.iter().map(adapt).collect::<Result<_>>()?, log_sigma))
+    }
+}
+
+/// The layout of half the resolution.
+fn half_layout(layout: Layout) -> Layout {
+    Layout { height: layout.height / 2, width: layout.width / 2, ..layout }
+}
+
+/// The directions among a photo's planes, averaged over 2x2 pixels.
+fn halved_directions<E: Scalar>(x: &Planes<E>) -> Result<Planes<E>> {
+    let (from, quarter) = (x.layout, E::of(0.25));
+    let to = half_layout(from).with_channels(DIRECTIONS);
+    let mut out = x.pool().take(to.len());
+    out.par_chunks_mut(to.band_len()).enumerate().for_each(|(band, out)| {
+        let rows = to.band_rows(band);
+        for (line, out) in out.chunks_exact_mut(to.width).enumerate() {
+            let (channel, row) = (FIRST_DIRECTION + line / rows.len(), 2 * (rows.start + line % rows.len()));
+            let (upper, lower) = (&x.values()[from.row(channel, row)], &x.values()[from.row(channel, row + 1)]);
+            for (out, (a, b)) in out.iter_mut().zip(upper.chunks_exact(2).zip(lower.chunks_exact(2))) {
+                *out = (a[0] + a[1] + b[0] + b[1]) * quarter;
+            }
+        }
+    });
+    Planes::of(out, to)
+}
