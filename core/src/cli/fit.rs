@@ -31,10 +31,10 @@ pub struct FitArgs {
     /// How much time to spend.
     #[arg(long, value_enum, default_value = "balanced")]
     preset: PresetArg,
-    /// How to get from photos to maps; auto: network where weights are given, else direct.
+    /// How to get from photos to maps; auto: network.
     #[arg(long, value_enum, default_value = "auto")]
     method: MethodArg,
-    /// Trained weights (safetensors).
+    /// Other weights than those built in (safetensors).
     #[arg(long)]
     weights: Option<PathBuf>,
     /// Steps on the latent code, instead of the preset's.
@@ -46,6 +46,9 @@ pub struct FitArgs {
     /// Steps on the maps themselves, instead of the preset's.
     #[arg(long)]
     direct_steps: Option<usize>,
+    /// Steps of the per-pixel finish, instead of the preset's; 0: the maps as the network predicts them.
+    #[arg(long)]
+    finish_steps: Option<usize>,
     /// Take every step, also when the loss has flattened.
     #[arg(long)]
     no_early_stop: bool,
@@ -105,6 +108,7 @@ impl FitArgs {
         options.latent_steps = self.latent_steps;
         options.adapter_steps = self.adapter_steps;
         options.direct_steps = self.direct_steps;
+        options.finish_steps = self.finish_steps;
         options.max_memory = self.max_memory;
         options.seed = self.seed;
         options.threads = self.threads;

@@ -2,7 +2,7 @@
 
 use crate::capture::Capture;
 use crate::error::{Error, Result};
-use crate::nn::Network;
+use crate::fit::Way;
 
 /// Bytes a run may use: what the caller allows, or three quarters of what is free.
 pub(crate) fn allowed(max_memory: Option<u64>) -> u64 {
@@ -25,13 +25,18 @@ pub(crate) fn check(needed: u64, max_memory: Option<u64>) -> Result<()> {
 }
 
 /// Estimated bytes a fit takes beyond the capture and the model it is given.
-pub(crate) fn estimate(capture: &Capture, network: Option<&Network>) -> u64 {
+pub(crate) fn estimate(capture: &Capture, way: Way<'_>) -> u64 {
     let pixels = (capture.width() * capture.height()) as u64;
     // Encoded photos and what is saturated in them; maps and their gradient; the material and what is rendered of it.
     let common = capture.len() as u64 * (3 * 4 + 1) + 2 * 14 * 4 + (14 + 6) * 4;
-    match network {
+    match way {
         // Seven parameters per pixel with gradient, best state and Adam's two moments; the start; logits' gradients; group memberships.
-        None => pixels * (common + 7 * 5 * 4 + 3 * 4 + 7 * 4 + 16),
-        Some(network) => pixels * common + network.fit_memory(capture.height(), capture.width()),
+        Way::Direct => pixels * (common + 7 * 5 * 4 + 3 * 4 + 7 * 4 + 16),
+        Way::Paper(network) => pixels * common + network.fit_memory(capture.height(), capture.width()),
+        // Afterwards, the finish: prediction, its certainty, values and deviations found, each twice; the photos' codes; group memberships.
+        Way::Graph(graph) => {
+            let finish = 9 * 4 * 6 + 16 + capture.len() as u64 * 12;
+            pixels * common + graph.memory(capture.len(), capture.height(), capture.width()).max(pixels * finish)
+        }
     }
 }

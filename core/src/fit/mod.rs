@@ -10,6 +10,7 @@ pub mod latent;
 mod memory;
 mod network;
 pub mod options;
+mod predicted;
 pub mod progress;
 pub mod report;
 
@@ -21,11 +22,12 @@ use crate::capture::Capture;
 use crate::error::{Error, Result};
 use crate::material::Material;
 use crate::metrics::photo_rmse;
-use crate::nn::Model;
+use crate::nn::{Model, Network, PhotoGraph};
 use crate::render::{Target, render};
 use direct::fit_direct;
 use network::fit_network;
 use options::{FitOptions, Method};
+use predicted::fit_predicted;
 use progress::{CancelToken, Control, Progress, ProgressFn};
 use report::FitReport;
 
@@ -40,8 +42,7 @@ pub struct Fit {
 
 /// Recovers the material that the photos of `capture` show.
 ///
-/// `model` may be `None`: [`Method::Auto`] then means [`Method::Direct`]. `progress` is called at least after every step and stops the
-/// run when it breaks.
+/// `model` may be `None`: then [`Model::builtin`]. `progress` is called at least after every step and stops the run when it breaks.
 ///
 /// # Errors
 /// [`Error::InvalidArgument`] for options out of range or a model that cannot take this many photos; [`Error::OutOfMemory`] before
@@ -54,24 +55,33 @@ pub fn fit_material(
 ) -> Result<Fit> {
     let started = Instant::now();
     let mut warnings = capture.warnings().to_vec();
-    let network = match (options.method, model) {
-        (Method::Direct, _) => None,
-        (Method::Network, None) => return Err(Error::invalid("method", "network needs weights, got none")),
-        (Method::Auto, None) => {
-            warnings
-                .push("no weights: the maps are fitted directly, without what a network knows of materials".to_owned());
-            None
+    let way = match options.method {
+        Method::Direct => Way::Direct,
+        Method::Network | Method::Auto => {
+            let model = match model {
+                Some(model) => model,
+                None => Model::builtin()?,
+            };
+            match model.photo_graph() {
+                Some(graph) => Way::Graph(graph),
+                None => Way::Paper(model.network(capture.len())?),
+            }
         }
-        (Method::Network | Method::Auto, Some(model)) => Some(model.network(capture.len())?),
     };
     let pool = pool(options.threads)?;
-    memory::check(memory::estimate(capture, network), options.max_memory)?;
+    memory::check(memory::estimate(capture, way), options.max_memory)?;
     on_pool(&pool, options.cancel.clone(), progress, |control| {
-        let targets = capture.photos().iter().map(Target::from_photo).collect::<Result<Vec<_>>>()?;
+        let targets = || capture.photos().iter().map(Target::from_photo).collect::<Result<Vec<_>>>();
         let mut stages = Vec::new();
-        let maps = match network {
-            Some(network) => fit_network(capture, &targets, network, options, &mut stages, control)?,
-            None => fit_direct(capture, &targets, options, &mut stages, control)?,
+        let mut finished = None;
+        let maps = match way {
+            Way::Paper(network) => fit_network(capture, &targets()?, network, options, &mut stages, control)?,
+            Way::Direct => fit_direct(capture, &targets()?, options, &mut stages, control)?,
+            Way::Graph(graph) => {
+                let predicted = fit_predicted(capture, graph, options, &mut stages, control)?;
+                finished = predicted.finished;
+                predicted.maps
+            }
         };
         let material = Material::from_maps(&maps, capture.patch_size())?;
         let photo_errors = capture
@@ -84,7 +94,7 @@ pub fn fit_material(
             warnings.push(format!("{name}: {count} steps led to values that are not finite and were undone"));
         }
         let report = FitReport {
-            method: if network.is_some() { Method::Network } else { Method::Direct },
+            method: if matches!(way, Way::Direct) { Method::Direct } else { Method::Network },
             preset: options.preset,
             seed: options.seed,
             threads: rayon::current_num_threads(),
@@ -92,11 +102,24 @@ pub fn fit_material(
             transfer: capture.transfer(),
             stages,
             photo_errors,
+            photo_deviation: finished.as_ref().map(|finished| finished.photo_deviation),
+            photo_power: finished.map(|finished| finished.power).unwrap_or_default(),
             seconds: started.elapsed().as_secs_f64(),
             warnings,
         };
         Ok(Fit { material, report })
     })
+}
+
+/// How maps are found.
+#[derive(Clone, Copy)]
+pub(crate) enum Way<'a> {
+    /// Without a network.
+    Direct,
+    /// With a network of the paper's form.
+    Paper(&'a Network),
+    /// With a photo graph and the finish.
+    Graph(&'a PhotoGraph),
 }
 
 /// Runs `work` on the threads of `pool` while the calling thread serves its progress: callbacks of hosts are bound to the thread they

@@ -37,6 +37,24 @@ impl Preset {
         }
     }
 
+    /// Levenberg-Marquardt steps per pixel of the finish, at most.
+    pub const fn finish_steps(self) -> usize {
+        match self {
+            Self::Draft => 4,
+            Self::Balanced => 12,
+            Self::High => 40,
+        }
+    }
+
+    /// Rounds of the finish on what pixels have in common.
+    pub(crate) const fn finish_rounds(self) -> usize {
+        match self {
+            Self::Draft => 1,
+            Self::Balanced => 3,
+            Self::High => 6,
+        }
+    }
+
     /// Steps on the maps themselves.
     pub const fn direct_steps(self) -> usize {
         match self {
@@ -52,10 +70,11 @@ impl Preset {
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Method {
-    /// [`Method::Network`] where a model is given, else [`Method::Direct`] with a warning.
+    /// [`Method::Network`].
     #[default]
     Auto,
-    /// The paper's: encode, optimise the latent code, then the adapters.
+    /// With a network. The default one predicts the maps, which are then fitted to the photos pixel by pixel; one of the paper's form
+    /// encodes the photos, then the latent code is optimised, then the adapters.
     Network,
     /// Without a network: optimise the maps themselves under simple priors.
     Direct,
@@ -75,6 +94,8 @@ pub struct FitOptions {
     pub adapter_steps: Option<usize>,
     /// Steps on the maps, instead of the preset's.
     pub direct_steps: Option<usize>,
+    /// Steps of the finish, instead of the preset's; 0: the maps as the network predicts them.
+    pub finish_steps: Option<usize>,
     /// Most bytes the run may use; three quarters of the free memory if `None`.
     pub max_memory: Option<u64>,
     /// Seed of everything random. The same seed, thread count and CPU give the same bits.
@@ -118,6 +139,13 @@ impl FitOptions {
     #[must_use]
     pub fn direct_steps(mut self, steps: usize) -> Self {
         self.direct_steps = Some(steps);
+        self
+    }
+
+    /// Sets [`FitOptions::finish_steps`].
+    #[must_use]
+    pub fn finish_steps(mut self, steps: usize) -> Self {
+        self.finish_steps = Some(steps);
         self
     }
 

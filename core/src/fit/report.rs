@@ -61,6 +61,12 @@ pub struct FitReport {
     pub stages: Vec<StageReport>,
     /// Error of each photo re-rendered: RMSE of gamma 2.2 encoded values, clamped to [0, 1].
     pub photo_errors: Vec<f64>,
+    /// Standard deviation of what the maps cannot explain in the photos (gamma 2.2 codes), as the finish chose it; `None` without finish.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub photo_deviation: Option<f64>,
+    /// Power of every photo's light relative to what the capture states, as the finish found it; empty without finish.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub photo_power: Vec<f64>,
     /// Wall-clock seconds of the whole fit.
     pub seconds: f64,
     /// What the user should know, the capture's own warnings first.

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Cursor, Read, Seek, Write};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use safetensors::Dtype;
 use safetensors::tensor::{Metadata, TensorInfo};
@@ -20,6 +20,9 @@ use crate::error::{Error, Result};
 use crate::fit::progress::Control;
 use crate::io::save::temporary_beside;
 use crate::maps::Lobe;
+
+/// The default network's weights file.
+const BUILTIN: &[u8] = include_bytes!("../../weights/default.safetensors");
 
 /// What a weights file must say about itself: key, value.
 const CONVENTIONS: [(&str, &str); 5] = [
@@ -80,6 +83,15 @@ impl Model {
     /// As [`Model::load`] and [`Model::network`].
     pub fn load_for(path: impl AsRef<Path>, photos: usize) -> Result<Self> {
         Self::read(Self::open(path.as_ref())?, Some(photos))
+    }
+
+    /// The default network, which is part of the library: a photo graph for any number of photos, see `docs/model-card.md`.
+    ///
+    /// # Errors
+    /// As [`Model::load`], if the library's build was damaged.
+    pub fn builtin() -> Result<&'static Self> {
+        static MODEL: OnceLock<Result<Model>> = OnceLock::new();
+        MODEL.get_or_init(|| Self::from_bytes(BUILTIN)).as_ref().map_err(|error| broken(error.to_string()))
     }
 
     /// As [`Model::load`], from a file's content.

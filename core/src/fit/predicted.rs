@@ -1,0 +1,76 @@
+//! The fit with the default network: it predicts the maps and how sure it is of them, and the finish fits them to the photos.
+
+use std::time::Instant;
+
+use crate::capture::Capture;
+use crate::error::Result;
+use crate::fit::finish::{Finished, Settings, finish};
+use crate::fit::options::FitOptions;
+use crate::fit::progress::{Control, Stage};
+use crate::fit::report::StageReport;
+use crate::maps::Maps;
+use crate::metrics::photo_rmse;
+use crate::nn::{PhotoGraph, Prediction};
+use crate::render::render_maps;
+
+/// Half a raw albedo or roughness is the unit of the network's certainty, except for the two planes of the normal.
+const UNITS: [f32; 9] = [2.0, 2.0, 2.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0];
+
+/// Maps, and what the finish found beside them where it ran.
+pub(crate) struct Predicted {
+    pub maps: Maps<f32>,
+    pub finished: Option<Finished>,
+}
+
+/// Predicts isotropic maps from all photos of `capture` and finishes them.
+///
+/// # Errors
+/// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the network's values are not finite.
+pub(crate) fn fit_predicted(
+    capture: &Capture,
+    graph: &PhotoGraph,
+    options: &FitOptions,
+    stages: &mut Vec<StageReport>,
+    control: &mut Control<'_>,
+) -> Result<Predicted> {
+    let begun = Instant::now();
+    control.report(Stage::Encode, 0, 1, None)?;
+    let mut prediction = graph.predict(capture, control)?;
+    let maps = graph.maps(&prediction)?;
+    let loss = loss(capture, &maps)?;
+    stages.push(StageReport {
+        stage: Stage::Encode,
+        steps: 1,
+        first_loss: loss,
+        best_loss: loss,
+        rollbacks: 0,
+        stopped_early: false,
+        seconds: begun.elapsed().as_secs_f64(),
+    });
+    control.report(Stage::Encode, 1, 1, Some(loss))?;
+    let steps = options.finish_steps.unwrap_or(options.preset.finish_steps());
+    if steps == 0 {
+        return Ok(Predicted { maps, finished: None });
+    }
+    let pixels = capture.width() * capture.height();
+    let planes = prediction.log_sigma.chunks_exact_mut(pixels);
+    planes.zip(UNITS).for_each(|(plane, unit)| plane.iter_mut().for_each(|value| *value = value.exp() * unit));
+    let settings = Settings { steps, rounds: options.preset.finish_rounds(), seed: options.seed };
+    let floor = f64::from(graph.config().roughness_floor);
+    let finished = finish(capture, &prediction.raw, &prediction.log_sigma, floor, settings, stages, control)?;
+    let prediction = Prediction { raw: finished.raw, log_sigma: Vec::new(), ..prediction };
+    let maps = graph.maps(&prediction)?;
+    Ok(Predicted { maps, finished: Some(Finished { raw: prediction.raw, ..finished }) })
+}
+
+/// 1000 times the mean squared error of the re-rendered photos, gamma 2.2.
+fn loss(capture: &Capture, maps: &Maps<f32>) -> Result<f64> {
+    let (width, height) = (capture.width(), capture.height());
+    let mut sum = 0.0;
+    for photo in capture.photos() {
+        let planes = render_maps(maps, capture.patch_size(), &photo.shot)?;
+        let image = crate::image::Image::from_planar(width, height, 3, &planes)?;
+        sum += photo_rmse(&image, &photo.image)?.powi(2);
+    }
+    Ok(1000.0 * sum / capture.len() as f64)
+}
