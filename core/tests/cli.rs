@@ -89,6 +89,21 @@ fn fit_evaluate_render_info() {
 }
 
 #[test]
+fn info_of_a_photo_graph() {
+    let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/default/weights.safetensors");
+    let info = json(&run(&["info", text(&weights), "--json"]));
+    assert_eq!(info["kind"], "weights");
+    assert_eq!(info["license"], "CC0-1.0");
+    assert_eq!(info["architecture"]["kind"], "photo graph");
+    assert_eq!(info["architecture"]["window"], 16);
+    assert_eq!(info["facts"]["data"], "random weights");
+    // 4 bytes each, behind the header.
+    assert!(info["parameters"].as_u64().unwrap() * 4 < std::fs::metadata(&weights).unwrap().len());
+    let printed = run(&["info", text(&weights)]);
+    assert!(String::from_utf8_lossy(&printed.stdout).contains("kind: photo graph"));
+}
+
+#[test]
 fn same_seed_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let capture = samples("lambert");

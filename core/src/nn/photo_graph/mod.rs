@@ -166,7 +166,15 @@ impl PhotoGraph {
         let feature = of(config.feature);
         let end = quarter(of(config.width)) + (BLOCK + 2) * tail + BLOCK * feature + 4 * of(RAW_PLANES);
         let channels = see.max(exchange).max(trunk).max(end);
-        channels.saturating_mul(pixels).saturating_mul(size_of::<f32>() as u64)
+        // What every thread holds of a band of half resolution in a round of messages, and small change.
+        let band = (width as u64).div_ceil(2).clamp(256, 1 << 20);
+        let round = (photos as u64).min(1 << 32) * (2 * of(config.heads) * of(config.dim) + node + 1);
+        let rounds = round.saturating_mul(band).saturating_mul(rayon::current_num_threads() as u64);
+        channels
+            .saturating_mul(pixels)
+            .saturating_add(rounds)
+            .saturating_mul(size_of::<f32>() as u64)
+            .saturating_add(8 << 20)
     }
 }
 
