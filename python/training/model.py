@@ -5,7 +5,8 @@ channels); a 2x2 convolution of stride 2 leads to half resolution (`node` channe
 Graph: the photos are the nodes of a complete graph with loops. In every round, per pixel at half resolution, the edge weights are a softmax
 over the senders j of `query_i . key_j / sqrt(dim) + pair . (h_i . h_j, l_i . l_j) + [i = j] loop` (per head; l, h: directions of light
 and half vector), and every node gains what its edges bring and passes through a block. Nothing depends on the order of photos.
-Pooling: mean, maximum and standard deviation over the photos of nodes and stem features, and 1/N.
+Hints: what classical analysis tells without learning, `hints`: where the surface leans and how dark and bright it gets.
+Pooling: mean, maximum and standard deviation over the photos of nodes and stem features, the hints, and 1/N.
 Trunk: a small NAFNet U-Net on the pooled nodes at half resolution, most blocks above the bottleneck. Tail: 1x1 convolution and pixel
 shuffle to full resolution, plus the pooled stem features, blocks, a 3x3 convolution `ending` to the material feature H. Each map
 comes from H by an adapter of the paper's form. Certainty: one more block and convolution beside `ending` give the logarithm of a standard
@@ -25,6 +26,12 @@ ADAPTERS = (("diff_conv", 3), ("normal_conv", 2), ("rough_conv", 1), ("spec_conv
 NORM_EPS = 1e-6
 # Added to the variance over photos before its root.
 SPREAD_EPS = 1e-4
+# Planes of `hints`.
+HINTS = 10
+# Ridge of the regression in `hints`, in squared units of the half vectors.
+HINT_RIDGE = 1e-2
+# What the contributions of blocks and messages are scaled by at the start; zero, as published, learns nothing for too long.
+SCALE_START = 0.3
 # Bounds of the logarithm of the standard deviation.
 LOG_SIGMA = (-7.0, 1.0)
 
@@ -83,8 +90,8 @@ class Block(nn.Module):
         self.conv3 = nn.Conv2d(channels, channels, 1)
         self.conv4 = nn.Conv2d(channels, 2 * channels, 1)
         self.conv5 = nn.Conv2d(channels, channels, 1)
-        self.beta = nn.Parameter(torch.zeros(channels))
-        self.gamma = nn.Parameter(torch.zeros(channels))
+        self.beta = nn.Parameter(torch.full((channels,), SCALE_START))
+        self.gamma = nn.Parameter(torch.full((channels,), SCALE_START))
 
     def forward(self, x, window):
         y = gate(self.conv2(self.conv1(self.norm1(x))))
@@ -106,7 +113,7 @@ class Round(nn.Module):
         self.out = nn.Conv2d(channels, channels, 1)
         self.pair = nn.Parameter(torch.zeros(heads, 2))
         self.loop = nn.Parameter(torch.zeros(heads))
-        self.gain = nn.Parameter(torch.zeros(channels))
+        self.gain = nn.Parameter(torch.full((channels,), SCALE_START))
         self.block = Block(channels)
 
     def forward(self, nodes, likeness, batch, window):
@@ -134,6 +141,28 @@ def pooled(x, batch):
     mean = x.mean(1)
     spread = ((x - mean[:, None]) ** 2).mean(1)
     return torch.cat([mean, x.amax(1), (spread + SPREAD_EPS).sqrt()], 1)
+
+
+def hints(inputs):
+    """Planes (B, 10, H, W) from inputs (B, N, 13, H, W), the same for any order of photos.
+
+    With c the mean over colours of the encoded ratio to white, and h the x and y of the half vector: the slope of c in h over the photos
+    (ridge regression) over the mean of c, 2 (towards which side the surface leans); the mean of h with weights c^4 less its mean
+    without, 2 (where highlights lie); the smallest ratio, 3, and the mean ratio, 3.
+    """
+    ratio, half = inputs[:, :, 3:6], inputs[:, :, 10:12]
+    code = ratio.mean(2, keepdim=True)
+    mean_code, mean_half = code.mean(1), half.mean(1)
+    off = half - mean_half[:, None]
+    xx, yy = (off * off).mean(1).split(1, 1)
+    xy = (off[:, :, :1] * off[:, :, 1:]).mean(1)
+    cx, cy = ((code - mean_code[:, None]) * off).mean(1).split(1, 1)
+    xx, yy = xx + HINT_RIDGE, yy + HINT_RIDGE
+    scale = 1 / ((xx * yy - xy * xy) * mean_code.clamp_min(0.02))
+    slope = torch.cat([(yy * cx - xy * cy) * scale, (xx * cy - xy * cx) * scale], 1)
+    weight = code**4
+    bright = (weight * off).sum(1) / weight.sum(1).clamp_min(1e-6)
+    return torch.cat([slope.clamp(-4, 4), bright, ratio.amin(1), ratio.mean(1)], 1)
 
 
 class Adapter(nn.Module):
@@ -167,7 +196,7 @@ class Model(nn.Module):
         self.fold = nn.Conv2d(stem, node, 2, stride=2)
         self.node = blocks(1, node)
         self.rounds = nn.ModuleList(Round(node, config["heads"], config["dim"]) for _ in range(config["rounds"]))
-        self.entry = nn.Conv2d(3 * node + 1, width, 1)
+        self.entry = nn.Conv2d(3 * node + 1 + HINTS, width, 1)
         self.encoders = nn.ModuleList(blocks(count, width << level) for level, count in enumerate(config["blocks"]))
         self.downs = nn.ModuleList(nn.Conv2d(width << level, width << level + 1, 2, stride=2) for level in range(levels))
         self.middle_blks = blocks(config["middle"], width << levels)
@@ -175,7 +204,7 @@ class Model(nn.Module):
         self.ups = nn.ModuleList(nn.ModuleList([nn.Conv2d(width << level + 1, width << level + 2, 1, bias=False)]) for level in coarse_first)
         self.decoders = nn.ModuleList(blocks(config["blocks"][level], width << level) for level in coarse_first)
         self.unfold = nn.Conv2d(width, 4 * tail, 1, bias=False)
-        self.skip = nn.Conv2d(3 * stem + 1, tail, 1)
+        self.skip = nn.Conv2d(3 * stem + 1 + HINTS, tail, 1)
         self.tail = blocks(config["tail_blocks"], tail)
         self.ending = nn.Conv2d(tail, config["feature"], 3, padding=1)
         for name, outputs in ADAPTERS:
@@ -198,7 +227,8 @@ class Model(nn.Module):
         for block in self.stem:
             x = block(x, self.at(0, window))
         share = torch.full_like(x[:batch, :1], 1 / count)
-        fine = torch.cat([pooled(x, batch), share], 1)
+        hint = hints(inputs)
+        fine = torch.cat([pooled(x, batch), hint, share], 1)
         x = self.fold(x)
         for block in self.node:
             x = block(x, self.at(1, window))
@@ -206,7 +236,7 @@ class Model(nn.Module):
         likeness = torch.stack([(coarse[:, :, None, k] * coarse[:, None, :, k]).sum(3) for k in (1, 0)], 1)
         for messages in self.rounds:
             x = messages(x, likeness, batch, self.at(1, window))
-        return fine, torch.cat([pooled(x, batch), share[..., ::2, ::2]], 1)
+        return fine, torch.cat([pooled(x, batch), functional.avg_pool2d(hint, 2), share[..., ::2, ::2]], 1)
 
     def restore(self, fine, coarse, window):
         """Raw maps and the logarithm of their standard deviations from pooled features."""
