@@ -2,9 +2,9 @@
 
 import hashlib
 import json
-import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -23,16 +23,13 @@ def digest(*paths):
 
 def run(command):
     """Runs a program: what it printed, the processor seconds it used, and its peak memory in bytes."""
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        process = subprocess.Popen(command, stdout=out, stderr=err)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        out.seek(0)
-        err.seek(0)
-        if process.returncode != 0:
-            raise RuntimeError(f"{' '.join(map(str, command))}: exit code {process.returncode}: {err.read().decode().strip()}")
-        # Linux counts kibibytes.
-        return out.read().decode(), usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024
+    with tempfile.NamedTemporaryFile("r") as used:
+        launcher = [sys.executable, "-I", "-S", HERE / "usage.py", used.name]
+        done = subprocess.run([*launcher, *command], capture_output=True, text=True, check=True)
+        usage = json.load(used)
+    if usage["code"] != 0:
+        raise RuntimeError(f"{' '.join(map(str, command))}: exit code {usage['code']}: {done.stderr.strip()}")
+    return done.stdout, usage["processor"], usage["memory"]
 
 
 class Store:
@@ -62,16 +59,17 @@ class Store:
         """Fits, unless the same program has already done so with the same arguments; returns the figures."""
         maps, file = self.place(variant, kind, name, photos)
         capture = self.captures(kind, name)
-        key = [digest(self.binary), *variant.arguments, digest(*sorted(capture.glob("*.png")), *sorted(capture.glob("*.txt")))]
+        views = scenes.PHOTOS_IN if kind == "real" else range(photos)
+        arguments = ["--views", ",".join(map(str, views)), "--size", str(scenes.SIZE), *variant.arguments]
+        key = [digest(self.binary), *arguments, digest(*sorted(capture.glob("*.png")), *sorted(capture.glob("*.txt")))]
         if file.exists():
             kept = json.loads(file.read_text())
             if kept["key"] == key:
                 return kept
-        views = scenes.PHOTOS_IN if kind == "real" else range(photos)
+        file.unlink(missing_ok=True)
         shutil.rmtree(maps, ignore_errors=True)
         maps.parent.mkdir(parents=True, exist_ok=True)
-        command = [self.binary, "fit", capture, "-o", maps, "--views", ",".join(map(str, views)), "--size", str(scenes.SIZE)]
-        printed, processor, memory = run([*command, "--format", "tiff", "--json", *variant.arguments])
+        printed, processor, memory = run([self.binary, "fit", capture, "-o", maps, "--format", "tiff", "--json", *arguments])
         report = json.loads(printed)["report"]
         figures = {"key": key, "report": report, "seconds": report["seconds"], "processor": processor, "memory": memory}
         file.write_text(json.dumps(figures))

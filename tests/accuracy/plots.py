@@ -5,7 +5,7 @@ import matplotlib
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 
 def finish(figure, path):
@@ -28,10 +28,12 @@ def trade(path, panels):
         low, high = (f(seconds for _, seconds, _ in points) for f in (min, max))
         axis.set_xlim(low / 2, high * 2)
         axis.set_ylim(0, 1.2 * max([value for *_, value in points] + [value for _, value in lines]))
-        axis.xaxis.set_major_formatter(ScalarFormatter())
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set(title=title, xlabel="seconds a fit", ylabel=error)
         axis.grid(alpha=0.3, which="both")
-        axis.legend(fontsize=8, loc="lower right")
+        axis.legend(fontsize=8, loc="lower left")
     finish(figure, path)
 
 

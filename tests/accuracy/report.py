@@ -49,6 +49,11 @@ def three(value):
     return f"{value:.3f}".removeprefix("0") if value < 1 else f"{value:.2f}"
 
 
+def cell(error, value):
+    """A figure of a table: angles in degrees with one decimal, all else with three."""
+    return f"{value:.1f}°" if error == "angle" and value is not None else three(value)
+
+
 def table(heads, rows):
     """A markdown table; the first column is text."""
     lines = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1)]
@@ -111,8 +116,7 @@ def synthetic(figures, kind, variants):
         for variant in variants:
             values = [figures.mean(variant.name, kind, photos, error) for error in ERRORS]
             if any(value is not None for value in values):
-                cells = [f"{v:.1f}°" if e == "angle" else three(v) for e, v in zip(ERRORS, values, strict=True)]
-                rows.append((variant.label, photos, *cells))
+                rows.append((variant.label, photos, *map(cell, ERRORS, values)))
     return table(("fit", "photos", *HEADS), rows)
 
 
@@ -121,8 +125,7 @@ def each(figures, kind, variant, photos):
     rows = []
     for name in figures.materials(kind):
         if figures.error(variant, kind, name, photos) is not None:
-            values = [(e, figures.error(variant, kind, name, photos, e)) for e in ERRORS]
-            rows.append((name.split("__")[-1], *(f"{v:.1f}°" if e == "angle" else three(v) for e, v in values)))
+            rows.append((name.split("__")[-1], *(cell(error, figures.error(variant, kind, name, photos, error)) for error in ERRORS)))
     return table(("material", *HEADS), rows)
 
 

@@ -9,7 +9,7 @@ from shading import gamma22, render
 TILE, GAP, TEXT = 84, 2, 15
 # The test position of the re-rendering that is shown.
 SHOWN = 3
-COLUMNS = ("D", "N", "R", "S", "re-rendered")
+COLUMNS = ("D", "N", "R", "S", "Ren.")
 
 
 def bytes_of(values, tile=TILE):

@@ -2,8 +2,10 @@
 
 import json
 import pickle
+import sys
 from pathlib import Path
 
+import fitting
 import lpips_alex
 import metrics
 import numpy as np
@@ -103,6 +105,16 @@ def test_weights_that_hold_more_than_arrays_are_refused(tmp_path):
     (tmp_path / "bad").write_bytes(pickle.dumps(Path("x")))
     with open(tmp_path / "bad", "rb") as file, pytest.raises(pickle.UnpicklingError, match="got pathlib"):
         lpips_alex._Arrays(file).load()
+
+
+def test_usage_is_that_of_the_program():
+    ballast = np.ones(100 << 17)  # 100 MiB of ours are not the program's
+    code = "import sys; b = bytearray(50 << 20); b[::4096] = b[::4096]; print('out'); sys.exit(int(sys.argv[1]))"
+    printed, seconds, memory = fitting.run([sys.executable, "-I", "-S", "-c", code, "0"])
+    assert ballast.nbytes > memory > 50 << 20
+    assert printed == "out\n" and 0 < seconds < 60
+    with pytest.raises(RuntimeError, match="exit code 3"):
+        fitting.run([sys.executable, "-I", "-S", "-c", code, "3"])
 
 
 def test_capture_folder_holds_what_was_rendered(tmp_path):
