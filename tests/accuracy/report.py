@@ -132,16 +132,18 @@ def each(figures, kind, variant, photos):
 def real(figures, variants):
     """Errors on the photos that were kept out of each capture."""
     names = figures.materials("real")
-    rows = [(v.label, *(three(figures.error(v.name, "real", n, REAL_PHOTOS)) for n in names), *(three(figures.mean(v.name, "real", REAL_PHOTOS, e)) for e in ("ren", "lpips", "flip")))
-            for v in variants if figures.of(v.name, "real", REAL_PHOTOS)]  # fmt: skip
-    rows.append(("MaterialGAN, published maps", *(three(MATERIALGAN.get(n)) for n in names), "–", "–", "–"))
-    five = [n for n in names if n in MATERIALGAN]
+    rows, means = [], []
+    for variant in variants:
+        each_one = {name: figures.error(variant.name, "real", name, REAL_PHOTOS) for name in names}
+        if any(value is not None for value in each_one.values()):
+            means_of = (figures.mean(variant.name, "real", REAL_PHOTOS, error) for error in ("ren", "lpips", "flip"))
+            rows.append((variant.label, *map(three, each_one.values()), *map(three, means_of)))
+        if all(each_one.get(name) is not None for name in MATERIALGAN):
+            means.append(f"{variant.label} {three(statistics.fmean(each_one[name] for name in MATERIALGAN))}")
+    rows.append(("MaterialGAN, published maps", *(three(MATERIALGAN.get(name)) for name in names), *map(three, (None, None, None))))
     text = table(("fit", *names, "mean", "LPIPS", "FLIP"), rows)
-    if len(five) == len(MATERIALGAN):
-        theirs = statistics.fmean(MATERIALGAN.values())
-        means = [f"{v.label} {three(statistics.fmean(figures.error(v.name, 'real', n, REAL_PHOTOS) for n in five))}"
-                 for v in variants if all(figures.error(v.name, "real", n, REAL_PHOTOS) is not None for n in five)]  # fmt: skip
-        text += f"\n\nOver the five captures that both have: MaterialGAN {three(theirs)}; " + ", ".join(means) + "."
+    if means:
+        text += f"\n\nMeans over the five captures that both have: MaterialGAN {three(statistics.fmean(MATERIALGAN.values()))}; {', '.join(means)}."
     return text
 
 
@@ -178,9 +180,10 @@ def trade_panels(figures, variants):
     """The same for the plot."""
     panels = []
     published = [(f"{method} (published, other materials)", ren) for n, method, *_, ren, _ in PUBLISHED if n == 4 and method == "Luo et al."]
+    materialgan = [("MaterialGAN's published maps (five of the six)", statistics.fmean(MATERIALGAN.values()))]
     for title, kind, photos, error, lines in (
         ("Maps, 4 photos", "maps", 4, "re-rendering RMSE, gamma 2.2", published),
-        ("Captures, 7 photos", "real", REAL_PHOTOS, "RMSE on the photos kept out, gamma 2.2", []),
+        ("Captures, 7 photos", "real", REAL_PHOTOS, "RMSE on the photos kept out, gamma 2.2", materialgan),
     ):
         points = [
             (v.label, median(figures.of(v.name, kind, photos), "seconds"), figures.mean(v.name, kind, photos, "ren"))
