@@ -63,10 +63,10 @@ def options(arguments):
     parser.add_argument("--sets", type=names_list, default=SETS, help="maps,textures,real")
     parser.add_argument("--variants", type=names_list, default=tuple(v.name for v in VARIANTS), help="names in variants.py")
     parser.add_argument("--materials", type=names_list, default=(), help="only these")
-    parser.add_argument("--quick", action="store_true", help="two maps, one texture, one capture; four photos; one variant unless --variants names others")
+    parser.add_argument("--quick", action="store_true", help="a few materials, four photos, one variant unless --variants names others")
     parser.add_argument("--report-only", action="store_true", help="fit and measure nothing, report what is kept")
     parser.add_argument("--binary", type=Path, default=scenes.ROOT / "target" / "release" / "svbrdf-gcn", help="the command line to measure")
-    parser.add_argument("--out", type=Path, default=scenes.ROOT / "out" / "accuracy", help="folder of fits, figures and pictures that are not committed")
+    parser.add_argument("--out", type=Path, default=scenes.ROOT / "out" / "accuracy", help="folder of fits, figures and other pictures")
     parser.add_argument("--report", type=Path, help="folder of accuracy.md; docs for the whole of it")
     chosen = parser.parse_args(arguments)
     known = {"--sets": SETS, "--variants": [v.name for v in VARIANTS], "--materials": [n for kind in SETS for n in scenes.names(kind)]}

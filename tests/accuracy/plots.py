@@ -43,7 +43,8 @@ def photos(path, panels):
     for axis, (title, lines) in zip(axes[0], panels, strict=True):
         for label, counts, errors, published in lines:
             axis.plot(counts, errors, "s--" if published else "o-", color="0.5" if published else None, label=label)
-        axis.set(title=title, xlabel="photos", ylabel="re-rendering RMSE, gamma 2.2", ylim=(0, None), xticks=sorted({c for _, cs, *_ in lines for c in cs}))
+        axis.set(title=title, xlabel="photos", ylabel="re-rendering RMSE, gamma 2.2", ylim=(0, None))
+        axis.set_xticks(sorted({count for _, counts, *_ in lines for count in counts}))
         axis.grid(alpha=0.3)
         axis.legend(fontsize=8)
     finish(figure, path)

@@ -134,6 +134,24 @@ def test_figures_are_judged():
     assert [report.three(v) for v in (0.0314, 1.234, None)] == [".031", "1.23", "–"]
 
 
+def test_the_network_has_to_beat_direct(monkeypatch):
+    monkeypatch.setattr(scenes, "names", lambda kind: ["one", "two"])
+    errors = dict.fromkeys(report.ERRORS, 0.05)
+    measured = {
+        (variant, "maps", name, 4): {"errors": errors | {"ren": ren}}
+        for variant, ren in (("balanced", 0.04), (report.BASELINE, 0.05))
+        for name in ("one", "two")
+    }
+    labels = {"balanced": "balanced", report.BASELINE: "direct"}
+    table = report.targets(report.Figures(measured), "balanced", labels)
+    assert "| maps, 4 photos, re-rendering | must | .045 | .040 | met |" in table
+    assert "| maps, 4 photos, re-rendering | goal | .032 | .040 | missed by 25 % |" in table
+    assert "| maps, 4 photos, re-rendering: better than `direct` | must | below .050 | .040 | met |" in table
+    assert "captures" not in table
+    del measured["balanced", "maps", "two", 4]
+    assert "balanced" not in report.targets(report.Figures(measured), "balanced", labels)
+
+
 def test_plots_are_written(tmp_path):
     plots.trade(tmp_path / "a.png", [("t", "e", [("x", 1.0, 0.1), ("y", 10.0, 0.05)], [("line", 0.03)])])
     plots.photos(tmp_path / "b.png", [("t", [("x", (1, 4), (0.1, 0.05), False)])])
