@@ -6,7 +6,7 @@ from PIL import Image, ImageDraw, ImageFont
 import scenes
 from shading import gamma22, render
 
-TILE, GAP, TEXT = 84, 2, 15
+TILE, GAP, TEXT = 96, 2, 15
 # The test position of the re-rendering that is shown.
 SHOWN = 3
 COLUMNS = ("D", "N", "R", "S", "Ren.")
