@@ -18,7 +18,7 @@ endif
 # Property tests draw the same cases every time; another seed draws others.
 export PROPTEST_RNG_SEED ?= 1
 
-.PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test golden blender-test oiio-test training-test stubs wheel addon bench fuzz sample clean
+.PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test golden blender-test oiio-test training-test stubs wheel addon bench accuracy fuzz sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -110,6 +110,14 @@ oiio-test: ## readers, writers and colours against OpenImageIO
 
 bench: ## benchmarks; figures are in docs/performance.md
 	$(CARGO) bench -p svbrdf-gcn
+
+# ACCURACY are arguments of the script: ACCURACY=--quick, ACCURACY=--report-only, ...
+accuracy: build ## fit materials and captures whose truth is known and write docs/accuracy.md (needs the measuring data; hours)
+	@[ -x $(VENV)/accuracy/bin/python ] || $(PYTHON) -m venv $(VENV)/accuracy
+	@cmp -s tests/accuracy/requirements.txt $(VENV)/accuracy/requirements.txt || { $(VENV)/accuracy/bin/pip install --quiet --disable-pip-version-check --no-deps -r tests/accuracy/requirements.txt \
+		&& cp tests/accuracy/requirements.txt $(VENV)/accuracy/requirements.txt; }
+	$(VENV)/accuracy/bin/python -m pytest -q tests/accuracy
+	$(VENV)/accuracy/bin/python tests/accuracy/accuracy.py --binary $(BIN) $(ACCURACY)
 
 fuzz: ## a minute on each reader (needs cargo-fuzz)
 	for target in image folders weights; do \

@@ -1,0 +1,28 @@
+"""The ways to fit that are measured. A new one is one more entry of `VARIANTS`."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A way to fit.
+
+    `arguments` go to `svbrdf-gcn fit` as they are. `everywhere`: measured on every set and photo count, else only where the table of time and
+    memory needs it (the maps with four photos, the captures).
+    """
+
+    name: str
+    label: str
+    arguments: tuple[str, ...]
+    everywhere: bool = False
+
+
+VARIANTS = [
+    Variant("direct-draft", "direct, draft", ("--method", "direct", "--preset", "draft")),
+    Variant("direct-balanced", "direct, balanced", ("--method", "direct", "--preset", "balanced"), everywhere=True),
+    Variant("direct-high", "direct, high", ("--method", "direct", "--preset", "high")),
+]
+
+# What the figures to reach are about, and what it has to beat. Where the first was not measured the second is reported alone.
+HEADLINE = "balanced"
+BASELINE = "direct-balanced"
