@@ -15,7 +15,7 @@ import torch
 
 import store
 from camera import RATIO_MAX
-from model import ADAPTERS, LOG_SIGMA, NORM_EPS, SPREAD_EPS
+from model import ADAPTERS, HINT_RIDGE, LOG_SIGMA, NORM_EPS, SPREAD_EPS
 
 # The conventions of docs/weights.md.
 CONVENTIONS = {
@@ -27,6 +27,7 @@ CONVENTIONS = {
     "channels": "diffuse 3, normal 2, roughness 1, specular 3",
 }
 INPUTS = "photo gamma2.2 3, ratio to white diffuse gamma2.2 3, saturated 1, light direction 3, half vector 3"
+HINT_PLANES = "slope of ratio in half vector xy 2, highlight in half vector xy 2, least ratio 3, mean ratio 3"
 
 
 def architecture(config):
@@ -35,6 +36,8 @@ def architecture(config):
         "kind": "photo graph",
         **config,
         "inputs": INPUTS,
+        "hints": HINT_PLANES,
+        "hint_ridge": HINT_RIDGE,
         "ratio_max": RATIO_MAX,
         "norm_eps": NORM_EPS,
         "spread_eps": SPREAD_EPS,

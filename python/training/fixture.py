@@ -5,20 +5,21 @@
 
 `weights.safetensors` is as export.py writes it (f32). `expected.safetensors`: three photos of 14 x 18 pixels (no multiple of the
 coarsest pixel), `photos`, `saturated`, stated `camera`, `light`, `intensity` in units of half the patch's width (patch_size 2), the
-network's `inputs`, and `raw`, `log_sigma`, `maps` with channel attention over windows of 16 pixels; `raw_global` with global averages;
-`raw_single` of the first photo alone.
+network's `inputs`, their `hints` when continued with zeros to 16 x 24 pixels, and `raw`, `log_sigma`, `maps` with channel attention over
+windows of 16 pixels; `raw_global` with global averages; `raw_single` of the first photo alone.
 """
 
 import sys
 from pathlib import Path
 
 import torch
+import torch.nn.functional as functional
 
 import camera
 import export
 import store
 from maps import decode_maps
-from model import Model
+from model import Model, hints
 from render import pixel_positions
 
 CONFIG = {"stem": 4, "stem_blocks": 1, "node": 4, "heads": 2, "dim": 2, "rounds": 2, "width": 4, "blocks": [1, 1], "middle": 1, "tail": 5, "tail_blocks": 1, "feature": 9, "window": 16, "roughness_floor": -0.5}  # fmt: skip
@@ -56,6 +57,7 @@ def answers(weights, given):
         raw, log_sigma = model(inputs)
         out = {"inputs": inputs, "raw": raw, "log_sigma": log_sigma, "maps": decode_maps(raw, CONFIG["roughness_floor"])}
         out.update(raw_global=model(inputs, None)[0], raw_single=model(inputs[:, :1])[0])
+        out["hints"] = hints(functional.pad(inputs, (0, 6, 0, 2)))
     return {name: tensor[0].float() for name, tensor in out.items()}
 
 

@@ -15,6 +15,10 @@ pub(crate) const INPUTS: usize = 13;
 pub(crate) const RATIO_MAX: f64 = 4.0;
 /// Added to the variance over photos before its root.
 pub(crate) const SPREAD_EPSILON: f64 = 1e-4;
+/// Planes of what the photos tell without learning.
+pub(crate) const HINTS: usize = 10;
+/// Ridge of the regression in them, in squared units of the half vectors.
+pub(crate) const HINT_RIDGE: f64 = 1e-2;
 /// Bounds of the logarithm of the standard deviation.
 pub(crate) const LOG_SIGMA: [f64; 2] = [-7.0, 1.0];
 /// The adapters in the order of their outputs: name, planes.
@@ -28,6 +32,9 @@ const KIND: &str = "photo graph";
 /// What a weights file says of the planes of a photo.
 const INPUT_PLANES: &str =
     "photo gamma2.2 3, ratio to white diffuse gamma2.2 3, saturated 1, light direction 3, half vector 3";
+/// What a weights file says of the hints.
+const HINT_PLANES: &str =
+    "slope of ratio in half vector xy 2, highlight in half vector xy 2, least ratio 3, mean ratio 3";
 
 /// Sizes and form of a photo graph (`python/training/model.py` states the network in full).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -68,6 +75,8 @@ pub struct PhotoGraphConfig {
 struct Form {
     kind: String,
     inputs: String,
+    hints: String,
+    hint_ridge: f64,
     ratio_max: f64,
     norm_eps: f64,
     spread_eps: f64,
@@ -76,13 +85,16 @@ struct Form {
 }
 
 impl Form {
-    const FIELDS: [&str; 7] = ["kind", "inputs", "ratio_max", "norm_eps", "spread_eps", "log_sigma", "adapters"];
+    const FIELDS: [&str; 9] =
+        ["kind", "inputs", "hints", "hint_ridge", "ratio_max", "norm_eps", "spread_eps", "log_sigma", "adapters"];
 
     /// The one form that this crate computes.
     fn known() -> Self {
         Self {
             kind: KIND.into(),
             inputs: INPUT_PLANES.into(),
+            hints: HINT_PLANES.into(),
+            hint_ridge: HINT_RIDGE,
             ratio_max: RATIO_MAX,
             norm_eps: NORM_EPSILON,
             spread_eps: SPREAD_EPSILON,
@@ -234,7 +246,7 @@ impl PhotoGraphConfig {
             list.push((format!("{round}.gain"), vec![node]));
             block(&mut list, &format!("{round}.block"), node);
         }
-        layer(&mut list, "entry", [width, 3 * node + 1, 1, 1]);
+        layer(&mut list, "entry", [width, 3 * node + HINTS + 1, 1, 1]);
         for (level, &count) in self.blocks.iter().enumerate() {
             blocks(&mut list, &format!("encoders.{level}"), count, self.channels(level));
             layer(&mut list, &format!("downs.{level}"), [self.channels(level + 1), self.channels(level), 2, 2]);
@@ -245,7 +257,7 @@ impl PhotoGraphConfig {
             blocks(&mut list, &format!("decoders.{step}"), self.blocks[level], self.channels(level));
         }
         list.push(("unfold.weight".into(), vec![4 * tail, width, 1, 1]));
-        layer(&mut list, "skip", [tail, 3 * stem + 1, 1, 1]);
+        layer(&mut list, "skip", [tail, 3 * stem + HINTS + 1, 1, 1]);
         blocks(&mut list, "tail", self.tail_blocks, tail);
         layer(&mut list, "ending", [feature, tail, 3, 3]);
         for (name, outputs) in ADAPTERS {
@@ -281,6 +293,8 @@ mod tests {
             ("kind", serde_json::json!("gcn")),
             ("kind", serde_json::json!(null)),
             ("inputs", serde_json::json!("photo 3")),
+            ("hints", serde_json::json!("none")),
+            ("hint_ridge", serde_json::json!(1e-3)),
             ("ratio_max", serde_json::json!(3.0)),
             ("norm_eps", serde_json::json!(1e-5)),
             ("spread_eps", serde_json::json!("none")),

@@ -3,6 +3,7 @@
 //! `python/training/model.py` states it in full. The photos are the nodes of a graph; nothing depends on their order.
 
 mod config;
+mod hints;
 mod input;
 mod net;
 mod rounds;
@@ -22,7 +23,7 @@ use crate::error::{Error, Result};
 use crate::fit::progress::Control;
 use crate::maps::{Lobe, Maps};
 pub use config::PhotoGraphConfig;
-use config::{INPUTS, RAW_PLANES};
+use config::{HINTS, INPUTS, RAW_PLANES};
 use net::{Net, Output};
 use rounds::DIRECTIONS;
 
@@ -159,10 +160,11 @@ impl PhotoGraph {
         let nodes = (photos as u64).min(1 << 32) * quarter(node + of(DIRECTIONS));
         let photo =
             of(INPUTS) + 2 * stem + quarter(BLOCK * node) + if config.stem_blocks > 0 { BLOCK * stem } else { 0 };
-        let see = (3 * stem + 1) + tail + photo + nodes;
-        let exchange = tail + nodes + quarter(BLOCK * node + 3 * node + 1);
+        let see = (3 * stem + of(HINTS) + 1) + of(hints::SUMS) + tail + photo + nodes;
+        let pooled = 3 * node + of(HINTS) + 1;
+        let exchange = tail + nodes + quarter(BLOCK * node + of(HINTS) + pooled);
         // All levels below half resolution together have at most as many values as it.
-        let trunk = tail + quarter(2 * (BLOCK + 2) * of(config.width) + 3 * node + 1);
+        let trunk = tail + quarter(2 * (BLOCK + 2) * of(config.width) + of(HINTS) + pooled);
         let feature = of(config.feature);
         let end = quarter(of(config.width)) + (BLOCK + 2) * tail + BLOCK * feature + 4 * of(RAW_PLANES);
         let channels = see.max(exchange).max(trunk).max(end);

@@ -1,6 +1,7 @@
 //! The photo graph, put together from operations; no gradients.
 
-use super::config::{ADAPTERS, LOG_SIGMA, PhotoGraphConfig};
+use super::config::{ADAPTERS, HINTS, LOG_SIGMA, PhotoGraphConfig};
+use super::hints::Hints;
 use super::rounds::{DIRECTIONS, Node, Pooling, Round};
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
@@ -145,15 +146,16 @@ impl<E: Scalar> Net<E> {
         control: &mut Control<'_>,
     ) -> Result<Output<E>> {
         let pool = Pool::default();
-        let (fine, nodes) = self.see(config, photos, layout, &mut |index| photo(index, &pool), &pool, control)?;
+        let (fine, hints, nodes) =
+            self.see(config, photos, layout, &mut |index| photo(index, &pool), &pool, control)?;
         let at_half = half_layout(layout).with_channels(config.node);
-        let coarse = self.exchange(config, nodes, at_half, &pool, control)?;
+        let coarse = self.exchange(config, nodes, &hints, at_half, &pool, control)?;
         let (raw, log_sigma) = self.restore(config, fine, coarse, &pool, control)?;
         let unpack = |planes: &Planes<E>| planes.layout.unpack(planes.values(), size.0, size.1);
         Ok(Output { raw: raw.iter().flat_map(unpack).collect(), log_sigma: unpack(&log_sigma) })
     }
 
-    /// Every photo by itself: what the pooled features of full resolution add to the tail, and the nodes.
+    /// Every photo by itself: what the pooled features of full resolution add to the tail, the hints at half resolution, and the nodes.
     fn see(
         &self,
         config: &PhotoGraphConfig,
@@ -162,8 +164,9 @@ impl<E: Scalar> Net<E> {
         photo: &mut dyn FnMut(usize) -> Result<Planes<E>>,
         pool: &Pool<E>,
         control: &mut Control<'_>,
-    ) -> Result<(Planes<E>, Vec<Node<E>>)> {
+    ) -> Result<(Planes<E>, Planes<E>, Vec<Node<E>>)> {
         let mut fine = Pooling::new(layout.with_channels(config.stem), pool);
+        let mut hints = Hints::new(layout, pool);
         let mut nodes = Vec::with_capacity(photos);
         for index in 0..photos {
             control.poll()?;
@@ -171,7 +174,8 @@ impl<E: Scalar> Net<E> {
             if x.layout != layout {
                 return Err(Error::shape("planes of a photo", format!("{layout:?}"), format!("{:?}", x.layout)));
             }
-            let directions = halved_directions(&x)?;
+            hints.add(x.values());
+            let directions = halved(&x, FIRST_DIRECTION, DIRECTIONS)?;
             let x = relaxed(conv3x3(x, 1, &self.intro.weight, &self.intro.bias)?);
             let x = run_blocks(x, &self.stem, config.window_at(0), control)?;
             fine.add(x.values());
@@ -179,16 +183,20 @@ impl<E: Scalar> Net<E> {
             nodes.push(Node { features: x.into_buffer(), directions: directions.into_buffer() });
         }
         pool.release();
-        let fine = pointwise(fine.finish()?, &self.skip.weight, Some(&self.skip.bias))?;
+        let hints = hints.finish(pool)?;
+        let fine = fine.finish(&hints)?;
+        let hints = halved(&hints, 0, HINTS)?;
+        let fine = pointwise(fine, &self.skip.weight, Some(&self.skip.bias))?;
         pool.release();
-        Ok((fine, nodes))
+        Ok((fine, hints, nodes))
     }
 
-    /// The rounds of messages: pooled features at half resolution.
+    /// The rounds of messages: pooled features at half resolution, with the `hints` there.
     fn exchange(
         &self,
         config: &PhotoGraphConfig,
         mut nodes: Vec<Node<E>>,
+        hints: &Planes<E>,
         layout: Layout,
         pool: &Pool<E>,
         control: &mut Control<'_>,
@@ -209,7 +217,7 @@ impl<E: Scalar> Net<E> {
             coarse.add(&node.features);
         }
         pool.release();
-        coarse.finish()
+        coarse.finish(hints)
     }
 
     /// Raw maps of each adapter and the logarithm of their standard deviations, from what the photos gave at full and at half resolution.
@@ -263,15 +271,15 @@ fn half_layout(layout: Layout) -> Layout {
     Layout { height: layout.height / 2, width: layout.width / 2, ..layout }
 }
 
-/// The directions among a photo's planes, averaged over 2x2 pixels.
-fn halved_directions<E: Scalar>(x: &Planes<E>) -> Result<Planes<E>> {
+/// Planes `first..first + count`, averaged over 2x2 pixels.
+fn halved<E: Scalar>(x: &Planes<E>, first: usize, count: usize) -> Result<Planes<E>> {
     let (from, quarter) = (x.layout, E::of(0.25));
-    let to = half_layout(from).with_channels(DIRECTIONS);
+    let to = half_layout(from).with_channels(count);
     let mut out = x.pool().take(to.len());
     out.par_chunks_mut(to.band_len()).enumerate().for_each(|(band, out)| {
         let rows = to.band_rows(band);
         for (line, out) in out.chunks_exact_mut(to.width).enumerate() {
-            let (channel, row) = (FIRST_DIRECTION + line / rows.len(), 2 * (rows.start + line % rows.len()));
+            let (channel, row) = (first + line / rows.len(), 2 * (rows.start + line % rows.len()));
             let (upper, lower) = (&x.values()[from.row(channel, row)], &x.values()[from.row(channel, row + 1)]);
             for (out, (a, b)) in out.iter_mut().zip(upper.chunks_exact(2).zip(lower.chunks_exact(2))) {
                 *out = (a[0] + a[1] + b[0] + b[1]) * quarter;

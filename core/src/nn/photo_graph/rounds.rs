@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::config::{PhotoGraphConfig, SPREAD_EPSILON};
+use super::config::{HINTS, PhotoGraphConfig, SPREAD_EPSILON};
 use crate::error::Result;
 use crate::nn::kernels::{add_products, add_scaled, add_weighted, deviation, norm, softmax, take_in};
 use crate::nn::layout::Layout;
@@ -118,7 +118,7 @@ struct Part<'a, E> {
     directions: &'a [E],
 }
 
-/// Mean, maximum and standard deviation of features over photos, taken in one after the other; then a plane of 1 / photos.
+/// Mean, maximum and standard deviation of features over photos, taken in one after the other; then the hints, and a plane of 1 / photos.
 pub(super) struct Pooling<E: Scalar> {
     /// The layout of the features.
     layout: Layout,
@@ -133,7 +133,7 @@ impl<E: Scalar> Pooling<E> {
     }
 
     fn layout(features: Layout) -> Layout {
-        features.with_channels(3 * features.channels + 1)
+        features.with_channels(3 * features.channels + HINTS + 1)
     }
 
     /// Takes in the features of one more photo.
@@ -155,14 +155,17 @@ impl<E: Scalar> Pooling<E> {
         });
     }
 
-    /// What the photos amount to: (3 C + 1, H, W).
-    pub fn finish(mut self) -> Result<Planes<E>> {
+    /// What the photos amount to, with their `hints` ([`HINTS`], H, W): (3 C + [`HINTS`] + 1, H, W).
+    pub fn finish(mut self, hints: &Planes<E>) -> Result<Planes<E>> {
         let (to, channels) = (Self::layout(self.layout), self.layout.channels);
         let share = E::of(1.0 / self.photos as f64);
-        self.values.par_chunks_mut(to.band_len()).for_each(|band| {
+        let hints = hints.values().par_chunks(to.with_channels(HINTS).band_len());
+        self.values.par_chunks_mut(to.band_len()).zip(hints).for_each(|(band, hints)| {
             let pixels = band.len() / to.channels;
             deviation(&mut band[2 * channels * pixels..3 * channels * pixels], share, E::of(SPREAD_EPSILON));
-            band[3 * channels * pixels..].fill(share);
+            let (before, last) = band[3 * channels * pixels..].split_at_mut(hints.len());
+            before.copy_from_slice(hints);
+            last.fill(share);
         });
         Planes::of(self.values, to)
     }
@@ -173,7 +176,8 @@ mod tests {
     use super::Pooling;
     use crate::nn::layout::Layout;
     use crate::nn::ops::testing::{compare, numbers};
-    use crate::nn::tape::Pool;
+    use crate::nn::photo_graph::config::HINTS;
+    use crate::nn::tape::{Planes, Pool};
 
     #[test]
     fn pooling_is_what_the_definition_says() {
@@ -182,7 +186,10 @@ mod tests {
             let all: Vec<Vec<f64>> = (0..photos).map(|photo| numbers(layout.len(), photo as u64)).collect();
             let mut pooling = Pooling::new(layout, &Pool::default());
             all.iter().for_each(|x| pooling.add(&layout.pack(x, 20, 40)));
-            let got = pooling.finish().unwrap();
+            let to = layout.with_channels(HINTS);
+            let hints = numbers(to.len(), 99);
+            let packed = Planes::constant(to.pack(&hints, 20, 40), to).unwrap();
+            let got = pooling.finish(&packed).unwrap();
             let of = |f: &dyn Fn(&[f64]) -> f64| -> Vec<f64> {
                 (0..layout.len()).map(|at| f(&all.iter().map(|x| x[at]).collect::<Vec<_>>())).collect()
             };
@@ -190,7 +197,7 @@ mod tests {
             let mean = |x: &[f64]| x.iter().sum::<f64>() / n;
             let spread = |x: &[f64]| (x.iter().map(|v| (v - mean(x)).powi(2)).sum::<f64>() / n + 1e-4).sqrt();
             let largest = |x: &[f64]| x.iter().fold(f64::NEG_INFINITY, |a, &b| a.max(b));
-            let expected = [of(&mean), of(&largest), of(&spread), vec![1.0 / n; 800]].concat();
+            let expected = [of(&mean), of(&largest), of(&spread), hints, vec![1.0 / n; 800]].concat();
             compare(&got.layout.unpack(got.values(), 20, 40), &expected, 1e-12, "pooled");
         }
     }

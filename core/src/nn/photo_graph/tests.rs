@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use safetensors::SafeTensors;
 
-use super::config::INPUTS;
+use super::config::{HINTS, INPUTS};
+use super::hints::Hints;
 use super::{Net, Output, PhotoGraph, PhotoGraphConfig, build, input, padded};
 use crate::capture::{Capture, Photo, Shot};
 use crate::color::Transfer;
@@ -128,6 +129,30 @@ fn answers_of_the_training_code() {
     let single = run(&graph.net, &graph.config, &inputs, SIZE);
     compare(&widened(&single.raw), &expected.get("raw"), 1e-4, "raw in f32");
     compare(&widened(&single.log_sigma), &expected.get("log_sigma"), 1e-4, "log_sigma in f32");
+}
+
+/// The hints of planes that lie one after the other, photo after photo, continued with zeros.
+fn hints<E: Scalar>(config: &PhotoGraphConfig, inputs: &[f64]) -> Vec<f64> {
+    let (layout, pool) = (padded(config, SIZE.0, SIZE.1), Pool::default());
+    let mut hints = Hints::<E>::new(layout, &pool);
+    for planes in inputs.chunks_exact(INPUTS * SIZE.0 * SIZE.1) {
+        let planes: Vec<E> = planes.iter().map(|&value| E::of(value)).collect();
+        hints.add(&layout.pack(&planes, SIZE.0, SIZE.1));
+    }
+    let planes = hints.finish(&pool).unwrap();
+    planes.layout.unpack(planes.values(), layout.height, layout.width).into_iter().map(Scalar::wide).collect()
+}
+
+#[test]
+fn hints_of_the_training_code() {
+    let (graph, expected) = (graph(), Expected::open());
+    let (inputs, expected) = (expected.get("inputs"), expected.get("hints"));
+    assert_eq!(expected.len(), HINTS * 16 * 24);
+    // Every plane tells something.
+    assert!(expected.chunks_exact(16 * 24).all(|plane| plane.iter().any(|value| value.abs() > 0.02)));
+    // Stored in f32, computed from inputs that the fixture holds in f32.
+    compare(&hints::<f64>(&graph.config, &inputs), &expected, 1e-6, "hints");
+    compare(&hints::<f32>(&graph.config, &inputs), &expected, 1e-5, "hints in f32");
 }
 
 #[test]
@@ -287,6 +312,7 @@ fn the_default_sizes() {
     let shapes: BTreeMap<_, _> = config.tensors().into_iter().collect();
     assert_eq!(shapes["fold.weight"], [32, 16, 2, 2]);
     assert_eq!(shapes["middle_blks.2.conv1.weight"][..2], [512, 256]);
+    assert_eq!((&shapes["skip.weight"][..2], &shapes["entry.weight"][..2]), (&[16, 59][..], &[64, 107][..]));
     assert_eq!(config.grain(), 8);
     let graph = PhotoGraph::random(config, 1).unwrap();
     assert_eq!(graph.parameters(), shapes.values().map(|shape| shape.iter().product::<usize>()).sum::<usize>());
