@@ -1,10 +1,10 @@
-//! The fit without a network: the maps themselves are optimised against the photos, under priors that a nearly flat surface made of
-//! few materials suggests.
+//! The maps themselves are optimised against the photos, under priors that a nearly flat surface made of few materials suggests.
 //!
 //! A handful of photos does not determine nine unknowns per pixel: fitted freely, every pixel explains its own photos and fails on new
 //! ones. What holds the fit together is that pixels of one colour are mostly one material. Specular albedo and roughness of a pixel are
-//! therefore those of its colour group plus a small deviation of its own, normals are a common tilt plus a small slope of their own, and
-//! only the diffuse albedo is (nearly) free. The sum of squared photo residuals and of these Gaussian priors is minimised by Adam.
+//! therefore where the fit starts, plus an offset of its colour group, plus a small deviation of its own; normals are where it starts, plus
+//! a common tilt, plus a small slope of their own; and only the diffuse albedo is (nearly) free. It starts at a
+//! network's maps, or at a flat dielectric of half roughness. The sum of squared photo residuals and of these Gaussian priors is minimised by Adam.
 //! Where the photos say nothing (unlit, saturated), a parameter falls back to its group's.
 //!
 //! Not from the paper.
@@ -27,51 +27,90 @@ use crate::render::{Target, photo_loss};
 /// Colour groups.
 const GROUPS: usize = 16;
 /// Standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
-const PHOTO_DEVIATION: f64 = 0.1;
+const PHOTO_DEVIATION: f64 = 0.2;
 /// Standard deviation of a pixel's slope (tangent of the angle) from the common tilt.
-const SLOPE_DEVIATION: f64 = 0.02;
+const SLOPE_DEVIATION: f64 = 0.01;
 /// Standard deviation of the common tilt, as a slope: a few degrees.
 const TILT_DEVIATION: f64 = 0.1;
 /// Standard deviation of a pixel's specular albedo and roughness from its group's, in logits.
 const OWN_DEVIATION: f64 = 0.2;
 /// Standard deviation of a pixel's diffuse albedo from its start, in logits: weak, decides only where no photo does.
 const DIFFUSE_DEVIATION: f64 = 5.0;
-/// Where a group's specular albedo starts and what it returns to without evidence: a dielectric's 4 %, in logits.
+/// Where specular albedo starts without a network and what it returns to without evidence: a dielectric's 4 %, in logits.
 const SPECULAR_LOGIT: f32 = -3.178;
 /// Likewise for its roughness: 0.5.
 const ROUGHNESS_LOGIT: f32 = 0.0;
-/// Standard deviation of a group's values from these, in logits.
+/// Standard deviation of a group's offsets from the start, in logits.
 const GROUP_DEVIATION: f64 = 2.0;
 /// The prior of a group counts as if this share of its pixels spoke for it.
 const GROUP_EVIDENCE: f64 = 0.002;
 /// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
 const ROUGHNESS_MIN: f32 = 0.02;
+/// Steps after which two starts are compared.
+const TRIAL_STEPS: usize = 60;
 /// Adam's step length in the logits and slopes of pixels.
 const LEARNING_RATE: f64 = 0.03;
 /// Steps of group values are longer by this factor, and those of the common tilt shorter.
 const GROUP_STEP: f32 = 2.0;
 const TILT_STEP: f32 = 1.0 / 3.0;
+/// Smallest z of a normal that the fit starts with.
+const STEEP: f32 = 0.2;
+/// Albedos and roughness start at least so far from 0 and 1.
+const LIMIT: f32 = 0.003;
 
-/// Fits isotropic maps to all photos of `capture`.
+/// Fits isotropic maps to all photos of `capture`, from `start` on where it is given.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the photos' loss is not finite at the start.
 pub(crate) fn fit_direct(
     capture: &Capture,
     targets: &[Target],
+    start: Option<&Maps<f32>>,
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
 ) -> Result<Maps<f32>> {
-    let begun = Instant::now();
     let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
+    Ok(fit_steps(capture, targets, start, steps, options.seed, stages, control)?.0)
+}
+
+/// As [`fit_direct`], from a network's maps or from a flat dielectric, whichever explains the photos better after some steps.
+///
+/// # Errors
+/// As [`fit_direct`].
+pub(crate) fn fit_direct_from(
+    capture: &Capture,
+    targets: &[Target],
+    predicted: &Maps<f32>,
+    options: &FitOptions,
+    stages: &mut Vec<StageReport>,
+    control: &mut Control<'_>,
+) -> Result<Maps<f32>> {
+    let trial = |start, control: &mut Control<'_>| {
+        fit_steps(capture, targets, start, TRIAL_STEPS, options.seed, &mut Vec::new(), control)
+    };
+    let (flat, network) = (trial(None, control)?.1, trial(Some(predicted), control)?.1);
+    fit_direct(capture, targets, (network < flat).then_some(predicted), options, stages, control)
+}
+
+/// The maps, and their loss with all priors.
+fn fit_steps(
+    capture: &Capture,
+    targets: &[Target],
+    start: Option<&Maps<f32>>,
+    steps: usize,
+    seed: u64,
+    stages: &mut Vec<StageReport>,
+    control: &mut Control<'_>,
+) -> Result<(Maps<f32>, f64)> {
+    let begun = Instant::now();
     control.report(Stage::Direct, 0, steps, None)?;
-    let problem = Problem::new(capture, targets, options.seed)?;
+    let problem = Problem::new(capture, targets, start, seed)?;
     let mut params = problem.start();
     let settings =
         Settings { stage: Stage::Direct, steps, learning_rate: LEARNING_RATE, final_rate: 0.02, early_stop: None };
     let mut maps = problem.empty_maps()?;
-    let mut slopes = problem.empty_maps()?;
+    let mut slopes = maps.clone();
     let descent = descend(&mut params, &settings, control, |params, gradient, _| {
         problem.decode(params, &mut maps);
         let Some(gradient) = gradient else {
@@ -83,7 +122,7 @@ pub(crate) fn fit_direct(
     })?;
     problem.decode(&params, &mut maps);
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
-    Ok(maps)
+    Ok((maps, descent.best_loss))
 }
 
 /// Where each kind of parameter lies in the flat vector that Adam moves.
@@ -124,28 +163,47 @@ struct Problem<'a> {
     height: usize,
     layout: Layout,
     memberships: Vec<Membership>,
-    /// Logits of the diffuse albedo at the start, three planes.
+    /// Where it starts: logits of the diffuse albedo, three planes; slopes x and y; logits of roughness, one, and specular albedo, three.
     diffuse: Vec<f32>,
+    slopes: Vec<f32>,
+    roughness: Vec<f32>,
+    specular: Vec<f32>,
 }
 
 impl<'a> Problem<'a> {
-    fn new(capture: &Capture, targets: &'a [Target], seed: u64) -> Result<Self> {
+    fn new(capture: &Capture, targets: &'a [Target], start: Option<&Maps<f32>>, seed: u64) -> Result<Self> {
         let (width, height) = (capture.width(), capture.height());
         let pixels = width * height;
-        let albedo = diffuse_start(capture);
+        let logits = |values: &[f32]| values.iter().map(|&value| logit(LIMIT + (1.0 - 2.0 * LIMIT) * value)).collect();
+        let (albedo, slopes, roughness, specular);
+        match start {
+            None => {
+                albedo = diffuse_start(capture);
+                slopes = vec![0.0; 2 * pixels];
+                roughness = vec![ROUGHNESS_LOGIT; pixels];
+                specular = vec![SPECULAR_LOGIT; 3 * pixels];
+            }
+            Some(maps) => {
+                let planes = |first: usize, count: usize| &maps.data()[first * pixels..(first + count) * pixels];
+                albedo = planes(DIFFUSE_PLANE, 3).to_vec();
+                let z = maps.plane(NORMAL_PLANE + 2).iter().cycle();
+                slopes = planes(NORMAL_PLANE, 2).iter().zip(z).map(|(c, z)| c / z.max(STEEP)).collect();
+                roughness = logits(maps.plane(ROUGHNESS_PLANE));
+                specular = logits(planes(maps.lobe().specular_plane(), 3));
+            }
+        }
         let encoded: Vec<f32> = albedo.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
         let (memberships, groups) = soft_groups(&encoded, pixels, GROUPS, seed);
         let diffuse = albedo.iter().map(|&value| logit(0.9 * value + 0.005)).collect();
         let layout = Layout { pixels, groups };
-        Ok(Self { targets, patch_size: capture.patch_size(), width, height, layout, memberships, diffuse })
+        let patch_size = capture.patch_size();
+        Ok(Self { targets, patch_size, width, height, layout, memberships, diffuse, slopes, roughness, specular })
     }
 
     fn start(&self) -> Vec<f32> {
         let layout = self.layout;
         let mut params = vec![0.0; layout.len()];
         params[..layout.slope()].copy_from_slice(&self.diffuse);
-        params[layout.specular_group()..layout.roughness_group()].fill(SPECULAR_LOGIT / GROUP_STEP);
-        params[layout.roughness_group()..layout.tilt()].fill(ROUGHNESS_LOGIT / GROUP_STEP);
         params
     }
 
@@ -158,10 +216,15 @@ impl<'a> Problem<'a> {
         photo_loss(maps, self.patch_size, self.targets, gradient)
     }
 
-    /// Group value of a quantity at every pixel, plus the pixel's own deviation.
-    fn mixed_logits<'s>(&'s self, values: &'s [f32], own: &'s [f32]) -> impl Iterator<Item = f32> + 's {
-        self.memberships.iter().zip(own).map(|(&[(a, of_a), (b, of_b)], own)| {
-            own + (of_a * values[a as usize] + of_b * values[b as usize]) * GROUP_STEP
+    /// Where a quantity starts at every pixel, plus the offset of its group, plus the pixel's own deviation.
+    fn mixed_logits<'s>(
+        &'s self,
+        start: &'s [f32],
+        values: &'s [f32],
+        own: &'s [f32],
+    ) -> impl Iterator<Item = f32> + 's {
+        self.memberships.iter().zip(start.iter().zip(own)).map(|(&[(a, of_a), (b, of_b)], (start, own))| {
+            start + own + (of_a * values[a as usize] + of_b * values[b as usize]) * GROUP_STEP
         })
     }
 
@@ -188,18 +251,21 @@ impl<'a> Problem<'a> {
                 out.iter_mut().zip(logits).for_each(|(out, &x)| *out = sigmoid(x));
             } else if plane < NORMAL_PLANE + 2 {
                 let c = plane - NORMAL_PLANE;
-                let slopes = &params[layout.slope() + c * n..][..n];
-                out.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope + tilt[c]);
+                let (slopes, start) = (&params[layout.slope() + c * n..][..n], &self.slopes[c * n..][..n]);
+                let values = slopes.iter().zip(start);
+                out.iter_mut().zip(values).for_each(|(out, (slope, start))| *out = start + slope + tilt[c]);
             } else if plane < ROUGHNESS_PLANE {
                 out.fill(1.0);
             } else if plane < specular_plane {
                 let groups = &params[layout.roughness_group()..layout.tilt()];
-                let logits = self.mixed_logits(groups, &params[layout.roughness_own()..layout.specular_group()]);
+                let own = &params[layout.roughness_own()..layout.specular_group()];
+                let logits = self.mixed_logits(&self.roughness, groups, own);
                 out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x).max(ROUGHNESS_MIN));
             } else {
                 let groups =
                     &params[layout.specular_group() + (plane - specular_plane) * layout.groups..][..layout.groups];
-                let logits = self.mixed_logits(groups, &params[layout.specular_own()..layout.roughness_own()]);
+                let own = &params[layout.specular_own()..layout.roughness_own()];
+                let logits = self.mixed_logits(&self.specular[(plane - specular_plane) * n..][..n], groups, own);
                 out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x));
             }
         });
@@ -251,21 +317,19 @@ impl<'a> Problem<'a> {
         let residuals = (self.targets.len() * 3 * n) as f64;
         let unit = 1000.0 * 2.0 * PHOTO_DEVIATION * PHOTO_DEVIATION / residuals;
         let group_unit = GROUP_EVIDENCE * unit * n as f64 / layout.groups as f64 / GROUP_DEVIATION.powi(2);
-        let (specular, roughness) = (Mean::All(SPECULAR_LOGIT / GROUP_STEP), Mean::All(ROUGHNESS_LOGIT / GROUP_STEP));
         // (range, where it is pulled to, step factor, weight)
         let terms = [
-            (0..layout.slope(), Mean::Each(&self.diffuse), 1.0, unit / DIFFUSE_DEVIATION.powi(2)),
-            (layout.slope()..layout.specular_own(), Mean::All(0.0), 1.0, unit / SLOPE_DEVIATION.powi(2)),
-            (layout.specular_own()..layout.specular_group(), Mean::All(0.0), 1.0, unit / OWN_DEVIATION.powi(2)),
-            (layout.specular_group()..layout.roughness_group(), specular, GROUP_STEP, group_unit),
-            (layout.roughness_group()..layout.tilt(), roughness, GROUP_STEP, group_unit),
-            (layout.tilt()..layout.len(), Mean::All(0.0), TILT_STEP, unit / TILT_DEVIATION.powi(2)),
+            (0..layout.slope(), Some(&self.diffuse), 1.0, unit / DIFFUSE_DEVIATION.powi(2)),
+            (layout.slope()..layout.specular_own(), None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
+            (layout.specular_own()..layout.specular_group(), None, 1.0, unit / OWN_DEVIATION.powi(2)),
+            (layout.specular_group()..layout.tilt(), None, GROUP_STEP, group_unit),
+            (layout.tilt()..layout.len(), None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
         ];
         let mut total = 0.0;
         for (range, mean, step, weight) in terms {
             let weight = weight * f64::from(step * step);
             let values = &params[range.clone()];
-            let off = |i: usize, value: f32| value - mean.at(i);
+            let off = |i: usize, value: f32| value - mean.map_or(0.0, |mean| mean[i]);
             total += 0.5 * weight * values.iter().enumerate().map(|(i, &v)| f64::from(off(i, v)).powi(2)).sum::<f64>();
             if let Some(gradient) = gradient.as_deref_mut() {
                 for (i, (slope, &value)) in gradient[range].iter_mut().zip(values).enumerate() {
@@ -274,21 +338,6 @@ impl<'a> Problem<'a> {
             }
         }
         total
-    }
-}
-
-/// What a prior pulls to.
-enum Mean<'a> {
-    All(f32),
-    Each(&'a [f32]),
-}
-
-impl Mean<'_> {
-    fn at(&self, i: usize) -> f32 {
-        match self {
-            Self::All(value) => *value,
-            Self::Each(values) => values[i],
-        }
     }
 }
 

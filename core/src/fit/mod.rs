@@ -76,9 +76,9 @@ pub fn fit_material(
         let mut finished = None;
         let maps = match way {
             Way::Paper(network) => fit_network(capture, &targets()?, network, options, &mut stages, control)?,
-            Way::Direct => fit_direct(capture, &targets()?, options, &mut stages, control)?,
+            Way::Direct => fit_direct(capture, &targets()?, None, options, &mut stages, control)?,
             Way::Graph(graph) => {
-                let predicted = fit_predicted(capture, graph, options, &mut stages, control)?;
+                let predicted = fit_predicted(capture, &targets()?, graph, options, &mut stages, control)?;
                 finished = predicted.finished;
                 predicted.maps
             }
@@ -103,7 +103,7 @@ pub fn fit_material(
             stages,
             photo_errors,
             photo_deviation: finished.as_ref().map(|finished| finished.photo_deviation),
-            photo_power: finished.map(|finished| finished.power).unwrap_or_default(),
+            believed_shares: finished.map(|finished| finished.shares),
             seconds: started.elapsed().as_secs_f64(),
             warnings,
         };

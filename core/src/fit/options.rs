@@ -46,15 +46,6 @@ impl Preset {
         }
     }
 
-    /// Rounds of the finish on what pixels have in common.
-    pub(crate) const fn finish_rounds(self) -> usize {
-        match self {
-            Self::Draft => 1,
-            Self::Balanced => 3,
-            Self::High => 6,
-        }
-    }
-
     /// Steps on the maps themselves.
     pub const fn direct_steps(self) -> usize {
         match self {

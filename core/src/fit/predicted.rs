@@ -1,17 +1,20 @@
-//! The fit with the default network: it predicts the maps and how sure it is of them, and the finish fits them to the photos.
+//! The fit with the default network: it predicts the maps and how sure it is of them; what pixels have in common is fitted to the photos
+//! from there on ([`direct`](super::direct)), then every pixel by itself ([`finish`](super::finish)).
 
 use std::time::Instant;
 
 use crate::capture::Capture;
+use crate::color::Transfer;
 use crate::error::Result;
+use crate::fit::direct::fit_direct_from;
 use crate::fit::finish::{Finished, Settings, finish};
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
-use crate::maps::Maps;
+use crate::maps::{Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::metrics::photo_rmse;
 use crate::nn::{PhotoGraph, Prediction};
-use crate::render::render_maps;
+use crate::render::{Target, render_maps};
 
 /// Half a raw albedo or roughness is the unit of the network's certainty, except for the two planes of the normal.
 const UNITS: [f32; 9] = [2.0, 2.0, 2.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0];
@@ -28,6 +31,7 @@ pub(crate) struct Predicted {
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the network's values are not finite.
 pub(crate) fn fit_predicted(
     capture: &Capture,
+    targets: &[Target],
     graph: &PhotoGraph,
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
@@ -48,6 +52,10 @@ pub(crate) fn fit_predicted(
         seconds: begun.elapsed().as_secs_f64(),
     });
     control.report(Stage::Encode, 1, 1, Some(loss))?;
+    let maps = match options.direct_steps.unwrap_or(options.preset.direct_steps()) {
+        0 => maps,
+        _ => fit_direct_from(capture, targets, &maps, options, stages, control)?,
+    };
     let steps = options.finish_steps.unwrap_or(options.preset.finish_steps());
     if steps == 0 {
         return Ok(Predicted { maps, finished: None });
@@ -55,12 +63,38 @@ pub(crate) fn fit_predicted(
     let pixels = capture.width() * capture.height();
     let planes = prediction.log_sigma.chunks_exact_mut(pixels);
     planes.zip(UNITS).for_each(|(plane, unit)| plane.iter_mut().for_each(|value| *value = value.exp() * unit));
-    let settings = Settings { steps, rounds: options.preset.finish_rounds(), seed: options.seed };
-    let floor = f64::from(graph.config().roughness_floor);
-    let finished = finish(capture, &prediction.raw, &prediction.log_sigma, floor, settings, stages, control)?;
+    let floor = graph.config().roughness_floor;
+    encode(&maps, floor, &mut prediction.raw);
+    let settings = Settings { steps };
+    let finished =
+        finish(capture, &prediction.raw, &prediction.log_sigma, f64::from(floor), settings, stages, control)?;
     let prediction = Prediction { raw: finished.raw, log_sigma: Vec::new(), ..prediction };
     let maps = graph.maps(&prediction)?;
     Ok(Predicted { maps, finished: Some(Finished { raw: prediction.raw, ..finished }) })
+}
+
+/// The raw planes of isotropic maps: the inverse of [`Decoding`](crate::nn::Decoding).
+fn encode(maps: &Maps<f32>, floor: f32, raw: &mut [f32]) {
+    let pixels = maps.width() * maps.height();
+    for (i, plane) in raw.chunks_exact_mut(pixels).enumerate() {
+        let map = match i {
+            ..5 => i,
+            _ => i + 1,
+        };
+        match i {
+            3 | 4 => {
+                for (p, value) in plane.iter_mut().enumerate() {
+                    let [x, y, z] = [0, 1, 2].map(|c| maps.plane(NORMAL_PLANE + c)[p]);
+                    *value = maps.plane(map)[p] / (x * x + y * y + z * z).sqrt().max(f32::MIN_POSITIVE);
+                }
+            }
+            _ => {
+                let low = if map == ROUGHNESS_PLANE { floor } else { -1.0 };
+                let code = |value: f32| 2.0 * Transfer::Gamma22.encode(value) - 1.0;
+                plane.iter_mut().zip(maps.plane(map)).for_each(|(raw, &value)| *raw = code(value).clamp(low, 1.0));
+            }
+        }
+    }
 }
 
 /// 1000 times the mean squared error of the re-rendered photos, gamma 2.2.

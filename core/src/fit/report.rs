@@ -64,9 +64,9 @@ pub struct FitReport {
     /// Standard deviation of what the maps cannot explain in the photos (gamma 2.2 codes), as the finish chose it; `None` without finish.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub photo_deviation: Option<f64>,
-    /// Power of every photo's light relative to what the capture states, as the finish found it; empty without finish.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub photo_power: Vec<f64>,
+    /// Shares of the network's deviation that the finish believed: in normals; in specular albedo and roughness.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub believed_shares: Option<[f64; 2]>,
     /// Wall-clock seconds of the whole fit.
     pub seconds: f64,
     /// What the user should know, the capture's own warnings first.
