@@ -96,6 +96,9 @@ fn relaxed<E: Scalar>(x: Planes<E>) -> Planes<E> {
     x
 }
 
+/// Pooled features at full resolution, hints at half resolution, and the photos' nodes.
+type Seen<E> = (Planes<E>, Planes<E>, Vec<Node<E>>);
+
 impl<E: Scalar> Net<E> {
     /// The network whose parameters `get` gives by name.
     pub fn new(config: &PhotoGraphConfig, get: &mut Source<'_, E>) -> Result<Self> {
@@ -164,7 +167,7 @@ impl<E: Scalar> Net<E> {
         photo: &mut dyn FnMut(usize) -> Result<Planes<E>>,
         pool: &Pool<E>,
         control: &mut Control<'_>,
-    ) -> Result<(Planes<E>, Planes<E>, Vec<Node<E>>)> {
+    ) -> Result<Seen<E>> {
         let mut fine = Pooling::new(layout.with_channels(config.stem), pool);
         let mut hints = Hints::new(layout, pool);
         let mut nodes = Vec::with_capacity(photos);
