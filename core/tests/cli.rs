@@ -49,9 +49,11 @@ fn fit_evaluate_render_info() {
         "--json",
     ]);
     let report = json(&fit);
-    assert_eq!(report["report"]["method"], "direct");
-    assert_eq!(report["report"]["stages"][0]["steps"], 150);
-    assert!(stderr(&fit).contains("no weights"), "a fit without weights says so: {}", stderr(&fit));
+    assert_eq!(report["report"]["method"], "network");
+    let stages: Vec<_> = report["report"]["stages"].as_array().unwrap().iter().map(|stage| &stage["stage"]).collect();
+    assert_eq!(stages, ["encode", "direct", "finish"]);
+    assert_eq!(report["report"]["stages"][1]["steps"], 150);
+    assert!(stderr(&fit).is_empty(), "{}", stderr(&fit));
     for file in ["diffuse.exr", "specular.exr", "roughness.exr", "normal.exr", "material.json", "preview.png"] {
         assert!(out.join(file).is_file(), "{file}");
     }
@@ -147,14 +149,13 @@ fn bad_input_is_one_line_that_names_it() {
     let missing = folder.path().join("nowhere");
     let garbage = folder.path().join("garbage.safetensors");
     std::fs::write(&garbage, [0xffu8; 64]).unwrap();
-    let cases: [(&[&str], i32, &[&str]); 9] = [
+    let cases: [(&[&str], i32, &[&str]); 8] = [
         (&["fit", text(&missing), "-o", out], 3, &["nowhere"]),
         (&["fit", capture, "-o", out, "--views", "0,9"], 2, &["9", "5"]),
         (&["fit", capture, "-o", out, "--max-memory", "1000"], 6, &["max_memory", "1000"]),
         (&["fit", capture, "-o", out, "--threads", "0"], 2, &["threads", "0"]),
         (&["fit", capture, "-o", out, "--size", "0"], 2, &["size", "0"]),
         (&["fit", capture, "-o", out, "--weights", text(&garbage)], 4, &["weights"]),
-        (&["fit", capture, "-o", out, "--method", "network"], 2, &["weights"]),
         (&["render", capture, "--camera", "0,0,1", "--light", "0,0,1", "-o", out], 3, &["material.json"]),
         (&["evaluate", text(&missing), capture], 3, &["nowhere"]),
     ];

@@ -82,7 +82,7 @@ pub unsafe extern "C" fn svbrdf_gcn_fit_material(
             (None, Some(path)) => Some(Model::load_for(path, capture.len())?),
             (_, None) => None,
         };
-        let model = model.map(|handle| &handle.model).or(loaded.as_ref());
+        let model = model.map(|handle| &*handle.model).or(loaded.as_ref());
         let mut callback = Callback::new(options.progress, options.progress_user_data);
         let fit = fit_material(capture, model, &fit_options, &mut |progress| callback.call(progress));
         callback.check()?;

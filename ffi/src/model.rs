@@ -1,22 +1,22 @@
 //! Trained networks.
 
 use std::ffi::{CString, c_char};
+use std::sync::Arc;
 
 use svbrdf_gcn::nn::Model;
 
 use crate::guard::{borrow, guard, guard_value, text};
 use crate::handle::{destroy, expect_out, give};
-use crate::status::svbrdf_gcn_status::*;
-use crate::status::{Failure, c_string, svbrdf_gcn_status};
+use crate::status::{c_string, svbrdf_gcn_status};
 
 /// The networks of a weights file. Immutable: any number of fits may use it at once.
 pub struct svbrdf_gcn_model {
-    pub(crate) model: Model,
+    pub(crate) model: Arc<Model>,
     license: CString,
 }
 
-/// Loads the networks of a weights file (UTF-8 path). NULL means the weights embedded in the library; this release has none and says so with
-/// `SVBRDF_GCN_ERR_WEIGHTS`. Destroy the model with `svbrdf_gcn_model_destroy`.
+/// Loads the networks of a weights file (UTF-8 path). NULL means the default network, which is part of the library and which a fit without
+/// a model takes. Destroy the model with `svbrdf_gcn_model_destroy`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn svbrdf_gcn_model_load(
     weights_path_utf8: *const c_char,
@@ -25,11 +25,10 @@ pub unsafe extern "C" fn svbrdf_gcn_model_load(
     guard(|| {
         expect_out(out)?;
         // SAFETY: NULL or a string, says the caller.
-        let path = unsafe { text("weights_path_utf8", weights_path_utf8) }?.ok_or_else(|| Failure {
-            status: SVBRDF_GCN_ERR_WEIGHTS,
-            message: "weights_path_utf8: this library embeds no weights; give the path of a weights file, or fit without a model".to_owned(),
-        })?;
-        let model = Model::load(path)?;
+        let model = match unsafe { text("weights_path_utf8", weights_path_utf8) }? {
+            Some(path) => Arc::new(Model::load(path)?),
+            None => Model::embedded()?,
+        };
         let license = c_string(model.license());
         // SAFETY: not NULL.
         unsafe { give(out, svbrdf_gcn_model { model, license }) };

@@ -250,6 +250,8 @@ pub struct svbrdf_gcn_options {
     pub adapter_steps: i64,
     /// Steps on the maps themselves; -1, the default: the preset's.
     pub direct_steps: i64,
+    /// Steps of the per-pixel finish; -1, the default: the preset's; 0: none.
+    pub finish_steps: i64,
     /// Most bytes the run may use; -1, the default: three quarters of the free memory.
     pub max_memory: i64,
     /// Seed of everything random; 0 by default. Same seed, threads and CPU: same bits.
@@ -278,6 +280,7 @@ impl SizeFirst for svbrdf_gcn_options {
             latent_steps: -1,
             adapter_steps: -1,
             direct_steps: -1,
+            finish_steps: -1,
             max_memory: -1,
             seed: 0,
             threads: -1,
@@ -308,6 +311,7 @@ impl svbrdf_gcn_options {
         options.latent_steps = given("latent_steps", self.latent_steps)?;
         options.adapter_steps = given("adapter_steps", self.adapter_steps)?;
         options.direct_steps = given("direct_steps", self.direct_steps)?;
+        options.finish_steps = given("finish_steps", self.finish_steps)?;
         options.max_memory = given("max_memory", self.max_memory)?;
         options.threads = given("threads", self.threads.into())?;
         options.early_stop = Some(choose("early_stop", self.early_stop, &[(0, false), (1, true)])?);

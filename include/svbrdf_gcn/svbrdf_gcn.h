@@ -686,6 +686,10 @@ typedef struct svbrdf_gcn_options {
    */
   int64_t direct_steps;
   /**
+   * Steps of the per-pixel finish; -1, the default: the preset's; 0: none.
+   */
+  int64_t finish_steps;
+  /**
    * Most bytes the run may use; -1, the default: three quarters of the free memory.
    */
   int64_t max_memory;
@@ -922,8 +926,8 @@ svbrdf_gcn_status svbrdf_gcn_photo_rmse(const struct svbrdf_gcn_material *materi
                                         double *out);
 
 /**
- * Loads the networks of a weights file (UTF-8 path). NULL means the weights embedded in the library; this release has none and says so with
- * `SVBRDF_GCN_ERR_WEIGHTS`. Destroy the model with `svbrdf_gcn_model_destroy`.
+ * Loads the networks of a weights file (UTF-8 path). NULL means the default network, which is part of the library and which a fit without
+ * a model takes. Destroy the model with `svbrdf_gcn_model_destroy`.
  */
 svbrdf_gcn_status svbrdf_gcn_model_load(const char *weights_path_utf8, struct svbrdf_gcn_model **out);
 

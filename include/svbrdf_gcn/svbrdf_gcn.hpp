@@ -257,7 +257,7 @@ struct Options {
     /// Path of trained weights, for those who load no Model.
     std::string weights;
     /// Steps of the stages, instead of the preset's.
-    std::optional<std::int64_t> latent_steps, adapter_steps, direct_steps;
+    std::optional<std::int64_t> latent_steps, adapter_steps, direct_steps, finish_steps;
     /// Most bytes the run may use; three quarters of the free memory if not given.
     std::optional<std::int64_t> max_memory;
     std::uint64_t seed = 0;
@@ -484,6 +484,7 @@ inline Material fit(const svbrdf_gcn_model *model, const Capture &capture, const
     converted.latent_steps = options.latent_steps.value_or(-1);
     converted.adapter_steps = options.adapter_steps.value_or(-1);
     converted.direct_steps = options.direct_steps.value_or(-1);
+    converted.finish_steps = options.finish_steps.value_or(-1);
     converted.max_memory = options.max_memory.value_or(-1);
     converted.seed = options.seed;
     converted.threads = options.threads.value_or(-1);
@@ -516,7 +517,7 @@ public:
     /// Loads a weights file.
     static Model load(const std::string &path) { return Model(path.c_str()); }
 
-    /// The weights embedded in the library; throws if it has none.
+    /// The default network, which is part of the library.
     static Model embedded() { return Model(nullptr); }
 
     Material fit_material(const Capture &capture, const Options &options = {}, const ProgressFunction &progress = {}) const {

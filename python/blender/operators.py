@@ -33,6 +33,7 @@ def fit_options(settings):
         "latent_steps": steps(settings.latent_steps),
         "adapter_steps": steps(settings.adapter_steps),
         "direct_steps": steps(settings.direct_steps),
+        "finish_steps": steps(settings.finish_steps),
         "early_stop": settings.early_stop,
         "max_memory": round(settings.max_memory * 1e9) or None,
         "seed": settings.seed,

@@ -89,6 +89,7 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
     latent_steps: IntProperty(name="Latent Steps", description="Steps on the latent code; -1: the preset's", default=-1, min=-1)
     adapter_steps: IntProperty(name="Adapter Steps", description="Steps on the adapters; -1: the preset's", default=-1, min=-1)
     direct_steps: IntProperty(name="Direct Steps", description="Steps on the maps; -1: the preset's", default=-1, min=-1)
+    finish_steps: IntProperty(name="Finish Steps", description="Steps of the per-pixel finish; -1: the preset's", default=-1, min=-1)
     early_stop: BoolProperty(name="Early Stop", description="Stop a stage when its loss has flattened", default=True)
     max_memory: FloatProperty(
         name="Memory (GB)", description="Most memory a fit may use; 0: three quarters of what is free", default=0, min=0

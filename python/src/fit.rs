@@ -70,12 +70,12 @@ impl PyCancelToken {
 /// Examples
 /// --------
 /// >>> seen = []
-/// >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, direct_steps=5, progress=seen.append)
+/// >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, method="direct", direct_steps=5, progress=seen.append)
 /// >>> seen[-1].stage, seen[-1].step, seen[-1].steps
 /// ('direct', 5, 5)
 #[pyclass(frozen, get_all, name = "Progress", module = "svbrdf_gcn")]
 pub struct PyProgress {
-    /// The part of the fit that runs: ``encode``, ``latent``, ``adapters`` or ``direct``.
+    /// The part of the fit that runs: ``encode``, ``latent``, ``adapters``, ``direct`` or ``finish``.
     stage: &'static str,
     /// Steps of the stage that are done.
     step: usize,
@@ -137,6 +137,21 @@ impl PyModel {
         detached(py, || Model::load(path)).map(|model| Self(Arc::new(model)))
     }
 
+    /// The default network, which is part of the package and which a fit without ``weights`` takes.
+    ///
+    /// Returns
+    /// -------
+    /// Model
+    ///
+    /// Examples
+    /// --------
+    /// >>> svbrdf_gcn.Model.embedded().license
+    /// 'CC0-1.0'
+    #[staticmethod]
+    fn embedded(py: Python<'_>) -> PyResult<Self> {
+        detached(py, Model::embedded).map(Self)
+    }
+
     /// The numbers of photos that there is a network for; a fit takes the one for the most photos it has. ``[1]`` for a photo graph,
     /// which takes any number of photos from one up.
     #[getter]
@@ -180,8 +195,8 @@ impl PyModel {
 ///     How to get from photos to maps; auto: network where there are weights, else direct.
 /// weights : Model, str or os.PathLike, optional
 ///     Trained weights.
-/// latent_steps, adapter_steps, direct_steps : int, optional
-///     Steps on the latent code, the adapters, the maps themselves, instead of the preset's.
+/// latent_steps, adapter_steps, direct_steps, finish_steps : int, optional
+///     Steps on the latent code, the adapters, the maps themselves, the per-pixel finish, instead of the preset's.
 /// max_memory : int, optional
 ///     Most bytes the run may use; three quarters of the free memory if not given.
 /// seed : int
@@ -224,7 +239,7 @@ impl PyModel {
 #[pyfunction]
 #[pyo3(name = "fit_material", signature = (capture_or_photos, *, camera_positions = None, light_positions = None,
     patch_size = None, light_intensity = None, transfer = None, color_space = None, size = None, views = None, white_level = None,
-    preset = "balanced", method = "auto", weights = None, latent_steps = None, adapter_steps = None, direct_steps = None,
+    preset = "balanced", method = "auto", weights = None, latent_steps = None, adapter_steps = None, direct_steps = None, finish_steps = None,
     max_memory = None, seed = 0, threads = None, early_stop = None, progress = None, cancel = None))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn py_fit_material<'py>(
@@ -245,6 +260,7 @@ pub fn py_fit_material<'py>(
     latent_steps: Option<i128>,
     adapter_steps: Option<i128>,
     direct_steps: Option<i128>,
+    finish_steps: Option<i128>,
     max_memory: Option<i128>,
     seed: i128,
     threads: Option<i128>,
@@ -257,6 +273,7 @@ pub fn py_fit_material<'py>(
     options.latent_steps = maybe_count("latent_steps", latent_steps)?;
     options.adapter_steps = maybe_count("adapter_steps", adapter_steps)?;
     options.direct_steps = maybe_count("direct_steps", direct_steps)?;
+    options.finish_steps = maybe_count("finish_steps", finish_steps)?;
     options.max_memory = maybe_count("max_memory", max_memory)?;
     options.seed = count("seed", seed)?;
     options.threads = maybe_count("threads", threads)?;

@@ -588,7 +588,7 @@ class Progress:
     Examples
     --------
     >>> seen = []
-    >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, direct_steps=5, progress=seen.append)
+    >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, method="direct", direct_steps=5, progress=seen.append)
     >>> seen[-1].stage, seen[-1].step, seen[-1].steps
     ('direct', 5, 5)
     """
@@ -601,7 +601,7 @@ class Progress:
     @property
     def stage(self, /) -> str:
         """
-        The part of the fit that runs: ``encode``, ``latent``, ``adapters`` or ``direct``.
+        The part of the fit that runs: ``encode``, ``latent``, ``adapters``, ``direct`` or ``finish``.
         """
     @property
     def step(self, /) -> int:
@@ -621,7 +621,7 @@ def command_line(arguments: SupportsGetItem[int, str]) -> int:
     It takes over SIGINT: meant for a process of its own.
     """
 
-def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = "balanced", method: str = "auto", weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = 0, threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
+def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = "balanced", method: str = "auto", weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, finish_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = 0, threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
     """
     Recover the material that photos show.
 
@@ -642,8 +642,8 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
         How to get from photos to maps; auto: network where there are weights, else direct.
     weights : Model, str or os.PathLike, optional
         Trained weights.
-    latent_steps, adapter_steps, direct_steps : int, optional
-        Steps on the latent code, the adapters, the maps themselves, instead of the preset's.
+    latent_steps, adapter_steps, direct_steps, finish_steps : int, optional
+        Steps on the latent code, the adapters, the maps themselves, the per-pixel finish, instead of the preset's.
     max_memory : int, optional
         Most bytes the run may use; three quarters of the free memory if not given.
     seed : int

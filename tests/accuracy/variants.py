@@ -18,6 +18,12 @@ class Variant:
 
 
 VARIANTS = [
+    Variant("network", "network only", ("--direct-steps", "0", "--finish-steps", "0"), everywhere=True),
+    Variant("network-finish", "network, finish", ("--direct-steps", "0")),
+    Variant("network-shared", "network, shared values", ("--finish-steps", "0")),
+    Variant("draft", "draft", ("--preset", "draft")),
+    Variant("balanced", "balanced", ("--preset", "balanced"), everywhere=True),
+    Variant("high", "high", ("--preset", "high")),
     Variant("direct-draft", "direct, draft", ("--method", "direct", "--preset", "draft")),
     Variant("direct-balanced", "direct, balanced", ("--method", "direct", "--preset", "balanced"), everywhere=True),
     Variant("direct-high", "direct, high", ("--method", "direct", "--preset", "high")),

@@ -105,7 +105,6 @@ def test_images_of_the_file_give_what_the_folder_gives(scene):
         ({"views": "0,x"}, "views: expected"),
         ({"views": "77"}, "77"),
         ({"weights": "/nowhere.safetensors"}, "/nowhere.safetensors"),
-        ({"method": "network"}, "weights"),
         ({"source": "IMAGES"}, "photos: expected"),
     ],
 )

@@ -81,6 +81,7 @@ int main(int argc, char **argv) try {
 
     Options options;
     options.preset = Preset::Draft;
+    options.method = Method::Direct;
     options.direct_steps = quick ? 6 : 100;
     options.early_stop = false;
     options.seed = 7;
@@ -102,7 +103,7 @@ int main(int argc, char **argv) try {
     CHECK(normal.width == capture.width() && normal.channels == 3 && normal.size() == normal.width * normal.height * 3);
     CHECK(std::all_of(material.roughness().begin(), material.roughness().end(), [](float r) { return r >= 0 && r <= 1; }));
     CHECK(normal.at(normal.height - 1, normal.width - 1, 2) == *(normal.end() - 1));
-    CHECK(material.patch_size() == 10.0 && material.warnings().size() == 1);
+    CHECK(material.patch_size() == 10.0 && material.warnings().empty());
     CHECK(material.report_json().find("\"seed\":7") != std::string::npos);
     if (!quick) {
         CaptureOptions unseen = capture_options;
@@ -215,7 +216,7 @@ int main(int argc, char **argv) try {
     CHECK(throws(SVBRDF_GCN_ERR_IO, "no/such/capture", [] { Capture::open("no/such/capture"); }));
     CHECK(throws(SVBRDF_GCN_ERR_IO, "no/such/material", [] { Material::load("no/such/material"); }));
     CHECK(throws(SVBRDF_GCN_ERR_IO, "no/such/weights", [] { Model::load("no/such/weights"); }));
-    CHECK(throws(SVBRDF_GCN_ERR_WEIGHTS, "embeds no weights", [] { Model::embedded(); }));
+    CHECK(Model::embedded().license() == "CC0-1.0");
     CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "transfer", [] { Capture(1.0, {}); }));
     CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "map_kind", [&] { material.tangent(); }));
     CHECK(throws(SVBRDF_GCN_ERR_IO, "/dev/null", [&] { material.export_to("/dev/null/x", ExportTarget::Unreal, "x", Normals::OpenGl); }));
@@ -226,7 +227,8 @@ int main(int argc, char **argv) try {
     CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "views", [&] { Capture::open(samples + "/tiles", none); }));
     Options network = options;
     network.method = Method::Network;
-    CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "method", [&] { fit_material(capture, network); }));
+    network.direct_steps = 2;
+    CHECK(fit_material(capture, network).report_json().find("\"stage\":\"finish\"") != std::string::npos);
     network.weights = "no/such/weights";
     CHECK(throws(SVBRDF_GCN_ERR_IO, "no/such/weights", [&] { fit_material(capture, network); }));
 

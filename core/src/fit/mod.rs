@@ -42,7 +42,7 @@ pub struct Fit {
 
 /// Recovers the material that the photos of `capture` show.
 ///
-/// `model` may be `None`: then [`Model::builtin`]. `progress` is called at least after every step and stops the run when it breaks.
+/// `model` may be `None`: then [`Model::embedded`]. `progress` is called at least after every step and stops the run when it breaks.
 ///
 /// # Errors
 /// [`Error::InvalidArgument`] for options out of range or a model that cannot take this many photos; [`Error::OutOfMemory`] before
@@ -55,12 +55,13 @@ pub fn fit_material(
 ) -> Result<Fit> {
     let started = Instant::now();
     let mut warnings = capture.warnings().to_vec();
+    let mut embedded = None;
     let way = match options.method {
         Method::Direct => Way::Direct,
         Method::Network | Method::Auto => {
             let model = match model {
                 Some(model) => model,
-                None => Model::builtin()?,
+                None => embedded.insert(Model::embedded()?),
             };
             match model.photo_graph() {
                 Some(graph) => Way::Graph(graph),

@@ -22,7 +22,7 @@ use crate::io::save::temporary_beside;
 use crate::maps::Lobe;
 
 /// The default network's weights file.
-const BUILTIN: &[u8] = include_bytes!("../../weights/default.safetensors");
+const EMBEDDED: &[u8] = include_bytes!("../../weights/default.safetensors");
 
 /// What a weights file must say about itself: key, value.
 const CONVENTIONS: [(&str, &str); 5] = [
@@ -89,9 +89,10 @@ impl Model {
     ///
     /// # Errors
     /// As [`Model::load`], if the library's build was damaged.
-    pub fn builtin() -> Result<&'static Self> {
-        static MODEL: OnceLock<Result<Model>> = OnceLock::new();
-        MODEL.get_or_init(|| Self::from_bytes(BUILTIN)).as_ref().map_err(|error| broken(error.to_string()))
+    pub fn embedded() -> Result<Arc<Self>> {
+        static MODEL: OnceLock<Result<Arc<Model>>> = OnceLock::new();
+        let loaded = MODEL.get_or_init(|| Self::from_bytes(EMBEDDED).map(Arc::new));
+        loaded.as_ref().map(Arc::clone).map_err(|error| broken(error.to_string()))
     }
 
     /// As [`Model::load`], from a file's content.
