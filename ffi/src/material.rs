@@ -56,7 +56,7 @@ pub enum svbrdf_gcn_map_kind {
 
 /// Recovers the material that the photos of `capture` show.
 ///
-/// `model` may be NULL: the method auto then means direct, the fit without a network. `options` may be NULL for the defaults. The call returns when the
+/// `model` may be NULL: then the default network, which is part of the library. `options` may be NULL for the defaults. The call returns when the
 /// fit is done or stopped; the progress callback runs on the calling thread. Any number of fits may run at once, of the same model and capture too.
 /// Destroy the material with `svbrdf_gcn_material_destroy`.
 #[unsafe(no_mangle)]

@@ -163,9 +163,9 @@ pub enum svbrdf_gcn_preset {
 /// Which way leads from photos to maps.
 #[repr(i32)]
 pub enum svbrdf_gcn_method {
-    /// The network where weights are given, else direct with a warning.
+    /// The network.
     SVBRDF_GCN_METHOD_AUTO = 0,
-    /// Encode, optimise the latent code, then the adapters; needs weights.
+    /// The network: the default one, fitted to the photos pixel by pixel, or that of the model or weights given.
     SVBRDF_GCN_METHOD_NETWORK = 1,
     /// Without a network: the maps themselves are optimised.
     SVBRDF_GCN_METHOD_DIRECT = 2,
@@ -241,7 +241,7 @@ pub struct svbrdf_gcn_options {
     pub preset: i32,
     /// A `svbrdf_gcn_method`; auto by default.
     pub method: i32,
-    /// UTF-8 path of trained weights (safetensors), for those who load no model: only the network that this capture takes is read. NULL by
+    /// UTF-8 path of other weights than those built in (safetensors), for those who load no model: only the network that this capture takes is read. NULL by
     /// default; give this or a model, not both.
     pub weights: *const c_char,
     /// Steps on the latent code; -1, the default: the preset's.

@@ -133,11 +133,11 @@ enum svbrdf_gcn_method
 #endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
  {
   /**
-   * The network where weights are given, else direct with a warning.
+   * The network.
    */
   SVBRDF_GCN_METHOD_AUTO = 0,
   /**
-   * Encode, optimise the latent code, then the adapters; needs weights.
+   * The network: the default one, fitted to the photos pixel by pixel, or that of the model or weights given.
    */
   SVBRDF_GCN_METHOD_NETWORK = 1,
   /**
@@ -669,7 +669,7 @@ typedef struct svbrdf_gcn_options {
    */
   int32_t method;
   /**
-   * UTF-8 path of trained weights (safetensors), for those who load no model: only the network that this capture takes is read. NULL by
+   * UTF-8 path of other weights than those built in (safetensors), for those who load no model: only the network that this capture takes is read. NULL by
    * default; give this or a model, not both.
    */
   const char *weights;
@@ -851,7 +851,7 @@ svbrdf_gcn_status svbrdf_gcn_image_buffer_init(struct svbrdf_gcn_image_buffer *b
 /**
  * Recovers the material that the photos of `capture` show.
  *
- * `model` may be NULL: the method auto then means direct, the fit without a network. `options` may be NULL for the defaults. The call returns when the
+ * `model` may be NULL: then the default network, which is part of the library. `options` may be NULL for the defaults. The call returns when the
  * fit is done or stopped; the progress callback runs on the calling thread. Any number of fits may run at once, of the same model and capture too.
  * Destroy the material with `svbrdf_gcn_material_destroy`.
  */

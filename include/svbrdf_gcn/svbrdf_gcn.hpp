@@ -254,7 +254,7 @@ struct CaptureOptions {
 struct Options {
     Preset preset = Preset::Balanced;
     Method method = Method::Auto;
-    /// Path of trained weights, for those who load no Model.
+    /// Path of other weights than those built in, for those who load no Model.
     std::string weights;
     /// Steps of the stages, instead of the preset's.
     std::optional<std::int64_t> latent_steps, adapter_steps, direct_steps, finish_steps;
@@ -506,7 +506,7 @@ inline Material fit(const svbrdf_gcn_model *model, const Capture &capture, const
 
 } // namespace detail
 
-/// Recovers the material that the photos show, without a network unless the options name weights.
+/// Recovers the material that the photos show, with the default network unless the options name another or the method direct.
 inline Material fit_material(const Capture &capture, const Options &options = {}, const ProgressFunction &progress = {}) {
     return detail::fit(nullptr, capture, options, progress);
 }

@@ -80,12 +80,12 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
         name="Method",
         description="How to get from photos to maps",
         items=[
-            ("auto", "Auto", "Network where weights are given, else direct"),
-            ("network", "Network", "Encode, optimise the latent code, then the adapters"),
+            ("auto", "Auto", "Network"),
+            ("network", "Network", "The built-in network, or that of the weights given"),
             ("direct", "Direct", "Without a network"),
         ],
     )
-    weights: StringProperty(name="Weights", description="Trained weights (safetensors)", subtype="FILE_PATH")
+    weights: StringProperty(name="Weights", description="Other weights than those built in (safetensors)", subtype="FILE_PATH")
     latent_steps: IntProperty(name="Latent Steps", description="Steps on the latent code; -1: the preset's", default=-1, min=-1)
     adapter_steps: IntProperty(name="Adapter Steps", description="Steps on the adapters; -1: the preset's", default=-1, min=-1)
     direct_steps: IntProperty(name="Direct Steps", description="Steps on the maps; -1: the preset's", default=-1, min=-1)

@@ -192,9 +192,9 @@ impl PyModel {
 /// preset : {"draft", "balanced", "high"}
 ///     How much time to spend.
 /// method : {"auto", "network", "direct"}
-///     How to get from photos to maps; auto: network where there are weights, else direct.
+///     How to get from photos to maps; auto: network.
 /// weights : Model, str or os.PathLike, optional
-///     Trained weights.
+///     Other weights than those built in.
 /// latent_steps, adapter_steps, direct_steps, finish_steps : int, optional
 ///     Steps on the latent code, the adapters, the maps themselves, the per-pixel finish, instead of the preset's.
 /// max_memory : int, optional
@@ -235,7 +235,7 @@ impl PyModel {
 /// --------
 /// >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, preset="draft", seed=7)
 /// >>> material.roughness.shape, material.report["method"]
-/// ((32, 32, 1), 'direct')
+/// ((32, 32, 1), 'network')
 #[pyfunction]
 #[pyo3(name = "fit_material", signature = (capture_or_photos, *, camera_positions = None, light_positions = None,
     patch_size = None, light_intensity = None, transfer = None, color_space = None, size = None, views = None, white_level = None,

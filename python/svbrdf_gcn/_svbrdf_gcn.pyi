@@ -475,6 +475,20 @@ class Model:
     FileNotFoundError: [Errno 2] No such file or directory: 'no-such-file.safetensors'
     """
     def __repr__(self, /) -> str: ...
+    @staticmethod
+    def embedded() -> Model:
+        """
+        The default network, which is part of the package and which a fit without ``weights`` takes.
+
+        Returns
+        -------
+        Model
+
+        Examples
+        --------
+        >>> svbrdf_gcn.Model.embedded().license
+        'CC0-1.0'
+        """
     @property
     def license(self, /) -> str:
         """
@@ -639,9 +653,9 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
     preset : {"draft", "balanced", "high"}
         How much time to spend.
     method : {"auto", "network", "direct"}
-        How to get from photos to maps; auto: network where there are weights, else direct.
+        How to get from photos to maps; auto: network.
     weights : Model, str or os.PathLike, optional
-        Trained weights.
+        Other weights than those built in.
     latent_steps, adapter_steps, direct_steps, finish_steps : int, optional
         Steps on the latent code, the adapters, the maps themselves, the per-pixel finish, instead of the preset's.
     max_memory : int, optional
@@ -682,7 +696,7 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
     --------
     >>> material = svbrdf_gcn.fit_material("samples/tiles", size=32, preset="draft", seed=7)
     >>> material.roughness.shape, material.report["method"]
-    ((32, 32, 1), 'direct')
+    ((32, 32, 1), 'network')
     """
 
 def map_errors(material: Material, truth: Material) -> dict[str, Any]:

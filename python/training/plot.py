@@ -12,23 +12,22 @@ WIDTH, HEIGHT, MARGIN = 480, 300, 44
 COLORS = ("#1f5fa8", "#c4501b", "#2c8a3d", "#8a3d8a", "#8c7a00", "#008c8c")
 
 
-def panel(draw, left, top, title, curves, logarithmic):
-    """One diagram with `curves`: name -> points (x, y)."""
+def panel(draw, left, top, title, curves, logarithmic, last):
+    """One diagram with `curves`: name -> points (x, y), x from 0 to `last`. Names have the last y beside them."""
     points = [point for curve in curves.values() for point in curve]
     if not points:
         return
     scale = math.log10 if logarithmic else float
-    xs, ys = [x for x, _ in points], [scale(max(y, 1e-9)) if logarithmic else y for _, y in points]
+    ys = [scale(max(y, 1e-9)) if logarithmic else y for _, y in points]
     low, high = min(ys), max(ys)
     # Single peaks of the first steps do not set the scale.
     if len(ys) > 50:
         high = sorted(ys)[int(0.995 * len(ys))]
     high = high if high > low else low + 1
-    first, last = min(xs), max(max(xs), min(xs) + 1)
 
     def place(x, y):
         y = scale(max(y, 1e-9)) if logarithmic else y
-        across, up = (x - first) / (last - first), min((y - low) / (high - low), 1)
+        across, up = x / last, min((y - low) / (high - low), 1)
         return left + MARGIN + across * (WIDTH - 1.5 * MARGIN), top + HEIGHT - MARGIN - up * (HEIGHT - 2 * MARGIN)
 
     box = [left + MARGIN, top + MARGIN, left + WIDTH - MARGIN / 2, top + HEIGHT - MARGIN]
@@ -38,12 +37,11 @@ def panel(draw, left, top, title, curves, logarithmic):
         y = box[3] - share * (box[3] - box[1])
         draw.line([box[0] - 3, y, box[2], y], fill="#dddddd")
         draw.text((left + 2, y - 6), f"{10**value if logarithmic else value:.3g}", fill="#333333")
-        draw.text((box[0] + share * (box[2] - box[0]) - 10, box[3] + 4), f"{first + share * (last - first):.0f}", fill="#333333")
-    draw.text((left + MARGIN, top + 8), title, fill="#000000")
-    offset = left + MARGIN
-    for color, (name, curve) in zip(COLORS, curves.items()):
-        draw.text((offset, top + 24), name, fill=color)
-        offset += 7 * len(name) + 12
+        draw.text((box[0] + share * (box[2] - box[0]) - 10, box[3] + 4), f"{share * last:.0f}", fill="#333333")
+    draw.text((left + MARGIN, top + 2), title, fill="#000000")
+    for number, (color, (name, curve)) in enumerate(zip(COLORS, curves.items())):
+        label = left + MARGIN + number % 3 * (WIDTH - 1.5 * MARGIN) / 3, top + 15 + number // 3 * 13
+        draw.text(label, f"{name}  {curve[-1][1]:.3g}", fill=color)
         line = [place(x, y) for x, y in curve]
         if len(line) > 1:
             draw.line(line, fill=color, width=2)
@@ -69,6 +67,7 @@ def main(arguments=None):
         names = checks[-1]["validation"] if checks else {}
         return {name: [(entry["step"], entry["validation"][name][key]) for entry in checks if name in entry["validation"]] for name in names}
 
+    last = max(entries[-1]["step"], 1)
     panels = [
         ("training loss", measured("loss"), True),
         ("maps and rendering (L1)", measured("maps", "rendering"), True),
@@ -83,7 +82,7 @@ def main(arguments=None):
     picture = Image.new("RGB", (3 * WIDTH, 3 * HEIGHT), "white")
     draw = ImageDraw.Draw(picture)
     for number, (title, curves, logarithmic) in enumerate(panels):
-        panel(draw, number % 3 * WIDTH, number // 3 * HEIGHT, title, curves, logarithmic)
+        panel(draw, number % 3 * WIDTH, number // 3 * HEIGHT, title, curves, logarithmic, last)
     picture.save(options.output)
 
 

@@ -46,7 +46,7 @@ pub struct FitArgs {
     /// Steps on the maps themselves, instead of the preset's.
     #[arg(long)]
     direct_steps: Option<usize>,
-    /// Steps of the per-pixel finish, instead of the preset's; 0: the maps as the network predicts them.
+    /// Steps of the per-pixel finish, instead of the preset's; 0: none. With --direct-steps 0 too, the maps are the network's.
     #[arg(long)]
     finish_steps: Option<usize>,
     /// Take every step, also when the loss has flattened.

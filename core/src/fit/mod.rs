@@ -1,4 +1,5 @@
-//! From photos to maps: the feature-embedded optimisation of the paper (Section 3.3), and the fit without a network.
+//! From photos to maps: with the default network and the finish, with the feature-embedded optimisation of the paper (Section 3.3), and
+//! without a network.
 
 pub mod adam;
 pub mod adapters;

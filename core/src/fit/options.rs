@@ -83,9 +83,9 @@ pub struct FitOptions {
     pub latent_steps: Option<usize>,
     /// Steps on the adapters, instead of the preset's.
     pub adapter_steps: Option<usize>,
-    /// Steps on the maps, instead of the preset's.
+    /// Steps on the maps, instead of the preset's; 0: none.
     pub direct_steps: Option<usize>,
-    /// Steps of the finish, instead of the preset's; 0: the maps as the network predicts them.
+    /// Steps of the finish, instead of the preset's; 0: none. With `direct_steps` 0 too, the maps are those the network predicts.
     pub finish_steps: Option<usize>,
     /// Most bytes the run may use; three quarters of the free memory if `None`.
     pub max_memory: Option<u64>,
