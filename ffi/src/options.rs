@@ -250,8 +250,6 @@ pub struct svbrdf_gcn_options {
     pub adapter_steps: i64,
     /// Steps on the maps themselves; -1, the default: the preset's.
     pub direct_steps: i64,
-    /// Steps of the per-pixel finish; -1, the default: the preset's; 0: none.
-    pub finish_steps: i64,
     /// Most bytes the run may use; -1, the default: three quarters of the free memory.
     pub max_memory: i64,
     /// Seed of everything random; 0 by default. Same seed, threads and CPU: same bits.
@@ -266,6 +264,8 @@ pub struct svbrdf_gcn_options {
     pub progress_user_data: *mut c_void,
     /// Stops the run from another thread; NULL, the default: nothing does. It has to live until the fit returns.
     pub cancel: *const svbrdf_gcn_cancel_token,
+    /// Steps of the per-pixel finish; -1, the default: the preset's; 0: none.
+    pub finish_steps: i64,
 }
 
 impl SizeFirst for svbrdf_gcn_options {

@@ -686,10 +686,6 @@ typedef struct svbrdf_gcn_options {
    */
   int64_t direct_steps;
   /**
-   * Steps of the per-pixel finish; -1, the default: the preset's; 0: none.
-   */
-  int64_t finish_steps;
-  /**
    * Most bytes the run may use; -1, the default: three quarters of the free memory.
    */
   int64_t max_memory;
@@ -717,6 +713,10 @@ typedef struct svbrdf_gcn_options {
    * Stops the run from another thread; NULL, the default: nothing does. It has to live until the fit returns.
    */
   const struct svbrdf_gcn_cancel_token *cancel;
+  /**
+   * Steps of the per-pixel finish; -1, the default: the preset's; 0: none.
+   */
+  int64_t finish_steps;
 } svbrdf_gcn_options;
 
 /**

@@ -206,8 +206,8 @@ impl Bar {
             self.stage = stage;
             self.bar.reset();
             self.bar.set_prefix(stage);
-            self.bar.set_length(progress.steps as u64);
         }
+        self.bar.set_length(progress.steps as u64);
         if let Some(loss) = progress.loss {
             self.bar.set_message(format!("loss {loss:.4}"));
         }

@@ -9,6 +9,7 @@
 //!
 //! Not from the paper.
 
+use std::ops::ControlFlow;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -19,7 +20,7 @@ use crate::error::Result;
 use crate::fit::cluster::{Membership, soft_groups};
 use crate::fit::descent::{Settings, descend};
 use crate::fit::options::FitOptions;
-use crate::fit::progress::{Control, Stage};
+use crate::fit::progress::{CancelToken, Control, Progress, Stage};
 use crate::fit::report::StageReport;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::render::{Target, photo_loss};
@@ -86,10 +87,17 @@ pub(crate) fn fit_direct_from(
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
 ) -> Result<Maps<f32>> {
-    let trial = |start, control: &mut Control<'_>| {
-        fit_steps(capture, targets, start, TRIAL_STEPS, options.seed, &mut Vec::new(), control)
+    let steps = options.direct_steps.unwrap_or(options.preset.direct_steps()).min(TRIAL_STEPS);
+    // Trials do not count as progress, but can be stopped.
+    let mut stopped = |_: &Progress| match control.poll() {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(_) => ControlFlow::Break(()),
     };
-    let (flat, network) = (trial(None, control)?.1, trial(Some(predicted), control)?.1);
+    let mut silent = Control::new(&mut stopped, CancelToken::new());
+    let mut trial = |start| -> Result<f64> {
+        Ok(fit_steps(capture, targets, start, steps, options.seed, &mut Vec::new(), &mut silent)?.1)
+    };
+    let (flat, network) = (trial(None)?, trial(Some(predicted))?);
     fit_direct(capture, targets, (network < flat).then_some(predicted), options, stages, control)
 }
 
