@@ -87,7 +87,7 @@ fn fit_evaluate_render_info() {
     assert!(picture.is_file());
     let info = json(&run(&["info", text(&out), "--json"]));
     assert_eq!(info["width"], 32);
-    assert_eq!(info["report"]["method"], "direct");
+    assert_eq!(info["report"]["method"], "network");
 }
 
 #[test]
