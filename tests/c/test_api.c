@@ -197,12 +197,12 @@ static void bad_values(const svbrdf_gcn_capture *capture, const svbrdf_gcn_mater
     BAD_OPTION(preset, 3, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "preset: expected one of 0, 1, 2, got 3");
     BAD_OPTION(preset, INT32_MIN, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "preset");
     BAD_OPTION(method, -1, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "method");
-    BAD_OPTION(method, SVBRDF_GCN_METHOD_NETWORK, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "method");
     BAD_OPTION(early_stop, 2, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "early_stop");
     BAD_OPTION(threads, 0, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "threads");
     BAD_OPTION(threads, -7, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "threads");
     BAD_OPTION(latent_steps, -2, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "latent_steps");
     BAD_OPTION(direct_steps, INT64_MIN, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "direct_steps");
+    BAD_OPTION(finish_steps, -2, SVBRDF_GCN_ERR_INVALID_ARGUMENT, "finish_steps");
     BAD_OPTION(max_memory, 1, SVBRDF_GCN_ERR_OUT_OF_MEMORY, "max_memory");
     BAD_OPTION(weights, "no/such/weights", SVBRDF_GCN_ERR_IO, "no/such/weights");
     BAD_OPTION(weights, "\xff\xfe", SVBRDF_GCN_ERR_INVALID_ARGUMENT, "UTF-8");
