@@ -63,6 +63,7 @@ def options(arguments):
     parser.add_argument("--sets", type=names_list, default=SETS, help="maps,textures,real")
     parser.add_argument("--variants", type=names_list, default=tuple(v.name for v in VARIANTS), help="names in variants.py")
     parser.add_argument("--materials", type=names_list, default=(), help="only these")
+    parser.add_argument("--photos", type=names_list, default=(), help="only these numbers of photos, of 1,4,8")
     parser.add_argument("--quick", action="store_true", help="a few materials, four photos, one variant unless --variants names others")
     parser.add_argument("--report-only", action="store_true", help="fit and measure nothing, report what is kept")
     parser.add_argument("--binary", type=Path, default=scenes.ROOT / "target" / "release" / "svbrdf-gcn", help="the command line to measure")
@@ -74,12 +75,15 @@ def options(arguments):
         for name in given:
             if name not in known[option]:
                 parser.error(f"{option}: expected one of {', '.join(known[option])}, got {name}")
-    chosen.counts = scenes.PHOTOS
+    unknown = set(chosen.photos) - {str(count) for count in scenes.PHOTOS}
+    if unknown:
+        parser.error(f"--photos: expected some of {scenes.PHOTOS}, got {', '.join(unknown)}")
+    chosen.counts = tuple(map(int, chosen.photos)) or scenes.PHOTOS
     if chosen.quick:
         chosen.materials, chosen.counts = chosen.materials or QUICK_MATERIALS, (4,)
         if chosen.variants == parser.get_default("variants"):
             chosen.variants = (HEADLINE if HEADLINE in chosen.variants else BASELINE,)
-    whole = not chosen.quick and not chosen.materials and chosen.sets == SETS and chosen.variants == parser.get_default("variants")
+    whole = not chosen.quick and not chosen.materials and not chosen.photos and chosen.sets == SETS and chosen.variants == parser.get_default("variants")
     chosen.report = chosen.report or (scenes.ROOT / "docs" if whole else chosen.out / "report")
     return chosen
 

@@ -254,7 +254,7 @@ def test_maps_are_in_range_and_fit_the_photos(tiles, fitted):
     ]
     np.testing.assert_allclose(errors, fitted.report["photo_errors"], rtol=1e-6)
     mean = np.mean(tiles.photos, axis=0)
-    assert np.mean(errors) < 0.5 * np.mean([metrics.photo_rmse(mean, photo) for photo in tiles.photos])
+    assert np.mean(errors) < 0.6 * np.mean([metrics.photo_rmse(mean, photo) for photo in tiles.photos])
 
 
 def test_maps_are_views_that_keep_the_material_alive(tiles):
