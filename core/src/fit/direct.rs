@@ -2,14 +2,12 @@
 //!
 //! A handful of photos does not determine nine unknowns per pixel: fitted freely, every pixel explains its own photos and fails on new
 //! ones. What holds the fit together is that pixels of one colour are mostly one material. Specular albedo and roughness of a pixel are
-//! therefore where the fit starts, plus an offset of its colour group, plus a small deviation of its own; normals are where it starts, plus
-//! a common tilt, plus a small slope of their own; and only the diffuse albedo is (nearly) free. It starts at a
-//! network's maps, or at a flat dielectric of half roughness. The sum of squared photo residuals and of these Gaussian priors is minimised by Adam.
+//! therefore those of its colour group plus a small deviation of its own, normals are a common tilt plus a small slope of their own, and
+//! only the diffuse albedo is (nearly) free. The sum of squared photo residuals and of these Gaussian priors is minimised by Adam.
 //! Where the photos say nothing (unlit, saturated), a parameter falls back to its group's.
 //!
 //! Not from the paper.
 
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -20,7 +18,7 @@ use crate::error::Result;
 use crate::fit::cluster::{Membership, soft_groups};
 use crate::fit::descent::{Settings, descend};
 use crate::fit::options::FitOptions;
-use crate::fit::progress::{CancelToken, Control, Progress, Stage};
+use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::render::{Target, photo_loss};
@@ -37,7 +35,7 @@ const TILT_DEVIATION: f64 = 0.1;
 const OWN_DEVIATION: f64 = 0.2;
 /// Standard deviation of a pixel's diffuse albedo from its start, in logits: weak, decides only where no photo does.
 const DIFFUSE_DEVIATION: f64 = 5.0;
-/// Where specular albedo starts without a network and what it returns to without evidence: a dielectric's 4 %, in logits.
+/// Where specular albedo starts and what it returns to without evidence: a dielectric's 4 %, in logits.
 const SPECULAR_LOGIT: f32 = -3.178;
 /// Likewise for its roughness: 0.5.
 const ROUGHNESS_LOGIT: f32 = 0.0;
@@ -47,73 +45,27 @@ const GROUP_DEVIATION: f64 = 2.0;
 const GROUP_EVIDENCE: f64 = 0.002;
 /// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
 const ROUGHNESS_MIN: f32 = 0.02;
-/// Steps after which two starts are compared.
-const TRIAL_STEPS: usize = 60;
 /// Adam's step length in the logits and slopes of pixels.
 const LEARNING_RATE: f64 = 0.03;
 /// Steps of group values are longer by this factor, and those of the common tilt shorter.
 const GROUP_STEP: f32 = 2.0;
 const TILT_STEP: f32 = 1.0 / 3.0;
-/// Smallest z of a normal that the fit starts with.
-const STEEP: f32 = 0.2;
-/// Albedos and roughness start at least so far from 0 and 1.
-const LIMIT: f32 = 0.003;
 
-/// Fits isotropic maps to all photos of `capture`, from `start` on where it is given.
+/// Fits isotropic maps to all photos of `capture`.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the photos' loss is not finite at the start.
 pub(crate) fn fit_direct(
     capture: &Capture,
     targets: &[Target],
-    start: Option<&Maps<f32>>,
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
 ) -> Result<Maps<f32>> {
     let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
-    Ok(fit_steps(capture, targets, start, steps, options.seed, stages, control)?.0)
-}
-
-/// As [`fit_direct`], from a network's maps or from a flat dielectric, whichever explains the photos better after some steps.
-///
-/// # Errors
-/// As [`fit_direct`].
-pub(crate) fn fit_direct_from(
-    capture: &Capture,
-    targets: &[Target],
-    predicted: &Maps<f32>,
-    options: &FitOptions,
-    stages: &mut Vec<StageReport>,
-    control: &mut Control<'_>,
-) -> Result<Maps<f32>> {
-    let steps = options.direct_steps.unwrap_or(options.preset.direct_steps()).min(TRIAL_STEPS);
-    // Trials do not count as progress, but can be stopped.
-    let mut stopped = |_: &Progress| match control.poll() {
-        Ok(()) => ControlFlow::Continue(()),
-        Err(_) => ControlFlow::Break(()),
-    };
-    let mut silent = Control::new(&mut stopped, CancelToken::new());
-    let mut trial = |start| -> Result<f64> {
-        Ok(fit_steps(capture, targets, start, steps, options.seed, &mut Vec::new(), &mut silent)?.1)
-    };
-    let (flat, network) = (trial(None)?, trial(Some(predicted))?);
-    fit_direct(capture, targets, (network < flat).then_some(predicted), options, stages, control)
-}
-
-/// The maps, and their loss with all priors.
-fn fit_steps(
-    capture: &Capture,
-    targets: &[Target],
-    start: Option<&Maps<f32>>,
-    steps: usize,
-    seed: u64,
-    stages: &mut Vec<StageReport>,
-    control: &mut Control<'_>,
-) -> Result<(Maps<f32>, f64)> {
     let begun = Instant::now();
     control.report(Stage::Direct, 0, steps, None)?;
-    let problem = Problem::new(capture, targets, start, seed)?;
+    let problem = Problem::new(capture, targets, options.seed)?;
     let mut params = problem.start();
     let settings =
         Settings { stage: Stage::Direct, steps, learning_rate: LEARNING_RATE, final_rate: 0.02, early_stop: None };
@@ -130,7 +82,7 @@ fn fit_steps(
     })?;
     problem.decode(&params, &mut maps);
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
-    Ok((maps, descent.best_loss))
+    Ok(maps)
 }
 
 /// Where each kind of parameter lies in the flat vector that Adam moves.
@@ -171,41 +123,20 @@ struct Problem<'a> {
     height: usize,
     layout: Layout,
     memberships: Vec<Membership>,
-    /// Where it starts: logits of the diffuse albedo, three planes; slopes x and y; logits of roughness, one, and specular albedo, three.
+    /// Logits of the diffuse albedo at the start, three planes.
     diffuse: Vec<f32>,
-    slopes: Vec<f32>,
-    roughness: Vec<f32>,
-    specular: Vec<f32>,
 }
 
 impl<'a> Problem<'a> {
-    fn new(capture: &Capture, targets: &'a [Target], start: Option<&Maps<f32>>, seed: u64) -> Result<Self> {
+    fn new(capture: &Capture, targets: &'a [Target], seed: u64) -> Result<Self> {
         let (width, height) = (capture.width(), capture.height());
         let pixels = width * height;
-        let logits = |values: &[f32]| values.iter().map(|&value| logit(LIMIT + (1.0 - 2.0 * LIMIT) * value)).collect();
-        let (albedo, slopes, roughness, specular);
-        match start {
-            None => {
-                albedo = diffuse_start(capture);
-                slopes = vec![0.0; 2 * pixels];
-                roughness = vec![ROUGHNESS_LOGIT; pixels];
-                specular = vec![SPECULAR_LOGIT; 3 * pixels];
-            }
-            Some(maps) => {
-                let planes = |first: usize, count: usize| &maps.data()[first * pixels..(first + count) * pixels];
-                albedo = planes(DIFFUSE_PLANE, 3).to_vec();
-                let z = maps.plane(NORMAL_PLANE + 2).iter().cycle();
-                slopes = planes(NORMAL_PLANE, 2).iter().zip(z).map(|(c, z)| c / z.max(STEEP)).collect();
-                roughness = logits(maps.plane(ROUGHNESS_PLANE));
-                specular = logits(planes(maps.lobe().specular_plane(), 3));
-            }
-        }
+        let albedo = diffuse_start(capture);
         let encoded: Vec<f32> = albedo.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
         let (memberships, groups) = soft_groups(&encoded, pixels, GROUPS, seed);
         let diffuse = albedo.iter().map(|&value| logit(0.9 * value + 0.005)).collect();
         let layout = Layout { pixels, groups };
-        let patch_size = capture.patch_size();
-        Ok(Self { targets, patch_size, width, height, layout, memberships, diffuse, slopes, roughness, specular })
+        Ok(Self { targets, patch_size: capture.patch_size(), width, height, layout, memberships, diffuse })
     }
 
     fn start(&self) -> Vec<f32> {
@@ -224,14 +155,9 @@ impl<'a> Problem<'a> {
         photo_loss(maps, self.patch_size, self.targets, gradient)
     }
 
-    /// Where a quantity starts at every pixel, plus the offset of its group, plus the pixel's own deviation.
-    fn mixed_logits<'s>(
-        &'s self,
-        start: &'s [f32],
-        values: &'s [f32],
-        own: &'s [f32],
-    ) -> impl Iterator<Item = f32> + 's {
-        self.memberships.iter().zip(start.iter().zip(own)).map(|(&[(a, of_a), (b, of_b)], (start, own))| {
+    /// Where a quantity starts, plus the offset of its group at every pixel, plus the pixel's own deviation.
+    fn mixed_logits<'s>(&'s self, start: f32, values: &'s [f32], own: &'s [f32]) -> impl Iterator<Item = f32> + 's {
+        self.memberships.iter().zip(own).map(move |(&[(a, of_a), (b, of_b)], own)| {
             start + own + (of_a * values[a as usize] + of_b * values[b as usize]) * GROUP_STEP
         })
     }
@@ -259,21 +185,20 @@ impl<'a> Problem<'a> {
                 out.iter_mut().zip(logits).for_each(|(out, &x)| *out = sigmoid(x));
             } else if plane < NORMAL_PLANE + 2 {
                 let c = plane - NORMAL_PLANE;
-                let (slopes, start) = (&params[layout.slope() + c * n..][..n], &self.slopes[c * n..][..n]);
-                let values = slopes.iter().zip(start);
-                out.iter_mut().zip(values).for_each(|(out, (slope, start))| *out = start + slope + tilt[c]);
+                let slopes = &params[layout.slope() + c * n..][..n];
+                out.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope + tilt[c]);
             } else if plane < ROUGHNESS_PLANE {
                 out.fill(1.0);
             } else if plane < specular_plane {
                 let groups = &params[layout.roughness_group()..layout.tilt()];
                 let own = &params[layout.roughness_own()..layout.specular_group()];
-                let logits = self.mixed_logits(&self.roughness, groups, own);
+                let logits = self.mixed_logits(ROUGHNESS_LOGIT, groups, own);
                 out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x).max(ROUGHNESS_MIN));
             } else {
                 let groups =
                     &params[layout.specular_group() + (plane - specular_plane) * layout.groups..][..layout.groups];
                 let own = &params[layout.specular_own()..layout.roughness_own()];
-                let logits = self.mixed_logits(&self.specular[(plane - specular_plane) * n..][..n], groups, own);
+                let logits = self.mixed_logits(SPECULAR_LOGIT, groups, own);
                 out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x));
             }
         });

@@ -78,7 +78,7 @@ pub fn fit_material(
         let mut finished = None;
         let maps = match way {
             Way::Paper(network) => fit_network(capture, &targets()?, network, options, &mut stages, control)?,
-            Way::Direct => fit_direct(capture, &targets()?, None, options, &mut stages, control)?,
+            Way::Direct => fit_direct(capture, &targets()?, options, &mut stages, control)?,
             Way::Graph(graph) => {
                 let predicted = fit_predicted(capture, &targets()?, graph, options, &mut stages, control)?;
                 finished = predicted.finished;

@@ -6,8 +6,8 @@ use std::time::Instant;
 use crate::capture::Capture;
 use crate::color::Transfer;
 use crate::error::Result;
-use crate::fit::direct::fit_direct_from;
-use crate::fit::finish::{Finished, Settings, finish};
+use crate::fit::direct::fit_direct;
+use crate::fit::finish::{Finished, Settings, Start, finish};
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
@@ -54,7 +54,7 @@ pub(crate) fn fit_predicted(
     control.report(Stage::Encode, 1, 1, Some(loss))?;
     let maps = match options.direct_steps.unwrap_or(options.preset.direct_steps()) {
         0 => maps,
-        _ => fit_direct_from(capture, targets, &maps, options, stages, control)?,
+        _ => fit_direct(capture, targets, options, stages, control)?,
     };
     let steps = options.finish_steps.unwrap_or(options.preset.finish_steps());
     if steps == 0 {
@@ -64,10 +64,10 @@ pub(crate) fn fit_predicted(
     let planes = prediction.log_sigma.chunks_exact_mut(pixels);
     planes.zip(UNITS).for_each(|(plane, unit)| plane.iter_mut().for_each(|value| *value = value.exp() * unit));
     let floor = graph.config().roughness_floor;
-    encode(&maps, floor, &mut prediction.raw);
-    let settings = Settings { steps };
-    let finished =
-        finish(capture, &prediction.raw, &prediction.log_sigma, f64::from(floor), settings, stages, control)?;
+    let mut shared = prediction.raw.clone();
+    encode(&maps, floor, &mut shared);
+    let start = Start { raw: &shared, network: &prediction.raw, deviation: &prediction.log_sigma };
+    let finished = finish(capture, start, f64::from(floor), Settings { steps }, stages, control)?;
     let prediction = Prediction { raw: finished.raw, log_sigma: Vec::new(), ..prediction };
     let maps = graph.maps(&prediction)?;
     Ok(Predicted { maps, finished: Some(Finished { raw: prediction.raw, ..finished }) })

@@ -41,6 +41,17 @@ pub(crate) struct Settings {
     pub steps: usize,
 }
 
+/// What a finish starts from: nine planes each of raw values and of the network's standard deviations.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Start<'a> {
+    /// The maps so far.
+    pub raw: &'a [f32],
+    /// The network's maps, whose normals may be the better ones.
+    pub network: &'a [f32],
+    /// The network's standard deviations.
+    pub deviation: &'a [f32],
+}
+
 /// What a finish found.
 #[derive(Clone, Debug)]
 pub(crate) struct Finished {
@@ -66,8 +77,7 @@ struct Problem<'a> {
     height: usize,
     patch_size: f64,
     views: Vec<View<'a>>,
-    raw: &'a [f32],
-    deviation: &'a [f32],
+    start: Start<'a>,
     roughness_floor: f64,
 }
 
@@ -111,13 +121,15 @@ struct Trust {
     /// Shares of the network's deviation that are believed, in normals, and in specular albedo and roughness.
     normal: f64,
     specular: f64,
+    /// Whether normals are expected as the network has them.
+    network_normals: bool,
     /// A photo that does not count.
     without: Option<usize>,
 }
 
 impl Trust {
     /// Where the search begins, and what a single photo gets.
-    const START: Self = Self { photo: 0.025, normal: 0.3, specular: 0.3, without: None };
+    const START: Self = Self { photo: 0.025, normal: 0.3, specular: 0.3, network_normals: false, without: None };
 }
 
 impl<'a> Problem<'a> {
@@ -135,13 +147,15 @@ impl<'a> Problem<'a> {
         let n = self.pixels();
         let mut prior = Prior { mean: [0.0; RAW], weight: [0.0; RAW] };
         for i in 0..RAW {
-            prior.mean[i] = f64::from(self.raw[i * n + pixel]);
+            let of_network = trust.network_normals && (NORMAL..ROUGHNESS).contains(&i);
+            let mean = if of_network { self.start.network } else { self.start.raw };
+            prior.mean[i] = f64::from(mean[i * n + pixel]);
             let share = match i {
                 ..NORMAL => 1.0,
                 NORMAL..ROUGHNESS => trust.normal,
                 ROUGHNESS.. => trust.specular,
             };
-            prior.weight[i] = (share * f64::from(self.deviation[i * n + pixel]).max(PRIOR_MIN)).powi(-2);
+            prior.weight[i] = (share * f64::from(self.start.deviation[i * n + pixel]).max(PRIOR_MIN)).powi(-2);
         }
         self.limit(&mut prior.mean);
         prior
@@ -308,8 +322,9 @@ impl<'a> Problem<'a> {
         let sample = self.sample(CHOICE_PIXELS);
         let mut lowest = self.left_out_error(best, &sample);
         type Set = fn(&mut Trust, f64);
-        let searches: [(&[f64], Set); 4] = [
+        let searches: [(&[f64], Set); 5] = [
             (&PHOTO_DEVIATIONS, |trust, value| trust.photo = value),
+            (&[1.0], |trust, _| trust.network_normals = true),
             (&SHARES, |trust, value| trust.normal = value),
             (&SHARES, |trust, value| trust.specular = value),
             (&PHOTO_DEVIATIONS, |trust, value| trust.photo = value),
@@ -372,8 +387,7 @@ fn places(c: usize) -> [usize; 5] {
 /// [`Error::ShapeMismatch`] if the planes are not of the capture's size; [`Error::Cancelled`].
 pub(crate) fn finish(
     capture: &Capture,
-    raw: &[f32],
-    deviation: &[f32],
+    start: Start<'_>,
     roughness_floor: f64,
     settings: Settings,
     stages: &mut Vec<StageReport>,
@@ -382,7 +396,7 @@ pub(crate) fn finish(
     let begun = Instant::now();
     let (width, height) = (capture.width(), capture.height());
     let pixels = width * height;
-    for (name, planes) in [("raw", raw), ("deviation", deviation)] {
+    for (name, planes) in [("raw", start.raw), ("network", start.network), ("deviation", start.deviation)] {
         if planes.len() != RAW * pixels {
             let expected = format!("{RAW} planes of {height} x {width}");
             return Err(Error::shape(name, expected, format!("{} values", planes.len())));
@@ -398,7 +412,7 @@ pub(crate) fn finish(
         .iter()
         .map(|photo| View { shot: photo.shot, code: encode(photo), saturated: &photo.saturated })
         .collect();
-    let problem = Problem { width, height, patch_size: capture.patch_size(), views, raw, deviation, roughness_floor };
+    let problem = Problem { width, height, patch_size: capture.patch_size(), views, start, roughness_floor };
 
     let trust = problem.choose(control)?;
     control.report(Stage::Finish, 1, 2, None)?;
@@ -492,8 +506,15 @@ mod tests {
         let mut control = Control::new(&mut callback, CancelToken::new());
         let settings = Settings { steps: 20 };
         let mut stages = Vec::new();
-        let finished =
-            finish(capture, raw, &vec![deviation; raw.len()], -0.9, settings, &mut stages, &mut control).unwrap();
+        let finished = finish(
+            capture,
+            Start { raw, network: raw, deviation: &vec![deviation; raw.len()] },
+            -0.9,
+            settings,
+            &mut stages,
+            &mut control,
+        )
+        .unwrap();
         assert!(stages[0].best_loss <= stages[0].first_loss);
         finished
     }
