@@ -449,7 +449,7 @@ pub(crate) fn finish(
 mod tests {
     use std::ops::ControlFlow;
 
-    use super::{Finished, RAW, Settings, finish};
+    use super::{Finished, RAW, Settings, Start, finish};
     use crate::capture::{Capture, Photo, Shot};
     use crate::color::Transfer;
     use crate::error::Error;
@@ -557,28 +557,13 @@ mod tests {
     fn wrong_sizes_are_errors_and_cancelling_ends() {
         let truth = truth();
         let capture = capture(&truth, 2);
-        let settings = Settings { steps: 1 };
-        let mut on = |_: &Progress| ControlFlow::Continue(());
-        let short = finish(
-            &capture,
-            &truth[1..],
-            &truth,
-            -1.0,
-            settings,
-            &mut Vec::new(),
-            &mut Control::new(&mut on, CancelToken::new()),
-        );
-        assert!(matches!(short, Err(Error::ShapeMismatch { .. })));
-        let mut off = |_: &Progress| ControlFlow::Break(());
-        let ended = finish(
-            &capture,
-            &truth,
-            &truth,
-            -1.0,
-            settings,
-            &mut Vec::new(),
-            &mut Control::new(&mut off, CancelToken::new()),
-        );
-        assert!(matches!(ended, Err(Error::Cancelled)));
+        let attempt = |raw: &[f32], answer: ControlFlow<()>| {
+            let mut callback = |_: &Progress| answer;
+            let mut control = Control::new(&mut callback, CancelToken::new());
+            let start = Start { raw, network: &truth, deviation: &truth };
+            finish(&capture, start, -1.0, Settings { steps: 1 }, &mut Vec::new(), &mut control)
+        };
+        assert!(matches!(attempt(&truth[1..], ControlFlow::Continue(())), Err(Error::ShapeMismatch { .. })));
+        assert!(matches!(attempt(&truth, ControlFlow::Break(())), Err(Error::Cancelled)));
     }
 }
