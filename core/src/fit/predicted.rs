@@ -52,7 +52,9 @@ pub(crate) fn fit_predicted(
         seconds: begun.elapsed().as_secs_f64(),
     });
     control.report(Stage::Encode, 1, 1, Some(loss))?;
-    let maps = match options.direct_steps.unwrap_or(options.preset.direct_steps()) {
+    // A single photo's highlight would end up in the diffuse albedo.
+    let shared = if capture.len() == 1 { 0 } else { options.preset.direct_steps() };
+    let maps = match options.direct_steps.unwrap_or(shared) {
         0 => maps,
         _ => fit_direct(capture, targets, options, stages, control)?,
     };
