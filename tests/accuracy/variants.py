@@ -20,7 +20,6 @@ class Variant:
 VARIANTS = [
     Variant("network", "network only", ("--direct-steps", "0", "--finish-steps", "0")),
     Variant("network-finish", "network, finish", ("--direct-steps", "0")),
-    Variant("network-shared", "network, shared values", ("--finish-steps", "0")),
     Variant("draft", "draft", ("--preset", "draft")),
     Variant("balanced", "balanced", ("--preset", "balanced"), everywhere=True),
     Variant("high", "high", ("--preset", "high")),
