@@ -451,6 +451,13 @@ impl Capture {
         self.patch_size
     }
 
+    /// Where the centre of a pixel lies in the plane z = 0, (x, y) in the unit of the positions.
+    pub(crate) fn position(&self, row: usize, column: usize) -> [f64; 2] {
+        let (width, height) = (self.width() as f64, self.height() as f64);
+        let pitch = self.patch_size() / width;
+        [(column as f64 + 0.5 - width / 2.0) * pitch, (height / 2.0 - row as f64 - 0.5) * pitch]
+    }
+
     /// The transfer function the photos were decoded with.
     pub fn transfer(&self) -> Transfer {
         self.transfer

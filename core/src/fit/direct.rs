@@ -62,8 +62,8 @@ pub(crate) fn fit_direct(
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
 ) -> Result<Maps<f32>> {
-    let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
     let begun = Instant::now();
+    let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
     control.report(Stage::Direct, 0, steps, None)?;
     let problem = Problem::new(capture, targets, options.seed)?;
     let mut params = problem.start();
@@ -281,10 +281,6 @@ fn diffuse_start(capture: &Capture) -> Vec<f32> {
     let pixels = width * height;
     let photos = capture.photos();
     let darker = (photos.len() / 2).max(2).saturating_sub(1).clamp(1, photos.len());
-    let pitch = capture.patch_size() / width as f64;
-    let position = |row: usize, column: usize| {
-        [(column as f64 + 0.5 - width as f64 / 2.0) * pitch, (height as f64 / 2.0 - row as f64 - 0.5) * pitch]
-    };
     let mut albedo = vec![0.0; 3 * pixels];
     let rows: Vec<Vec<[f32; 3]>> = (0..height)
         .into_par_iter()
@@ -293,7 +289,7 @@ fn diffuse_start(capture: &Capture) -> Vec<f32> {
                 .map(|column| {
                     let mut values: [Vec<f32>; 3] = Default::default();
                     for photo in photos {
-                        let seen = flat_albedo(photo, position(row, column), row * width + column);
+                        let seen = flat_albedo(photo, capture.position(row, column), row * width + column);
                         values.iter_mut().zip(seen).for_each(|(values, seen)| values.push(seen));
                     }
                     values.map(|mut values| {

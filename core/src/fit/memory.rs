@@ -33,7 +33,7 @@ pub(crate) fn estimate(capture: &Capture, way: Way<'_>) -> u64 {
         // Seven parameters per pixel with gradient, best state and Adam's two moments; the start; logits' gradients; group memberships.
         Way::Direct => pixels * (common + 7 * 5 * 4 + 3 * 4 + 7 * 4 + 16),
         Way::Paper(network) => pixels * common + network.fit_memory(capture.height(), capture.width()),
-        // Afterwards, the finish: prediction, its certainty, values and deviations found, each twice; the photos' codes; group memberships.
+        // Afterwards, the finish: nine planes each of prediction, certainty, start and result, the latter as rows too; the photos' codes; slack.
         Way::Graph(graph) => {
             let finish = 9 * 4 * 6 + 16 + capture.len() as u64 * 12;
             pixels * common + graph.memory(capture.len(), capture.height(), capture.width()).max(pixels * finish)

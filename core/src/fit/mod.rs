@@ -73,17 +73,13 @@ pub fn fit_material(
     let pool = pool(options.threads)?;
     memory::check(memory::estimate(capture, way), options.max_memory)?;
     on_pool(&pool, options.cancel.clone(), progress, |control| {
-        let targets = || capture.photos().iter().map(Target::from_photo).collect::<Result<Vec<_>>>();
         let mut stages = Vec::new();
-        let mut finished = None;
-        let maps = match way {
-            Way::Paper(network) => fit_network(capture, &targets()?, network, options, &mut stages, control)?,
-            Way::Direct => fit_direct(capture, &targets()?, options, &mut stages, control)?,
-            Way::Graph(graph) => {
-                let predicted = fit_predicted(capture, &targets()?, graph, options, &mut stages, control)?;
-                finished = predicted.finished;
-                predicted.maps
+        let (maps, belief) = match way {
+            Way::Paper(network) => {
+                (fit_network(capture, &targets(capture)?, network, options, &mut stages, control)?, None)
             }
+            Way::Direct => (fit_direct(capture, &targets(capture)?, options, &mut stages, control)?, None),
+            Way::Graph(graph) => fit_predicted(capture, graph, options, &mut stages, control)?,
         };
         let material = Material::from_maps(&maps, capture.patch_size())?;
         let photo_errors = capture
@@ -104,13 +100,18 @@ pub fn fit_material(
             transfer: capture.transfer(),
             stages,
             photo_errors,
-            photo_deviation: finished.as_ref().map(|finished| finished.photo_deviation),
-            believed_shares: finished.map(|finished| finished.shares),
+            photo_deviation: belief.map(|belief| belief.photo_deviation),
+            believed_shares: belief.map(|belief| belief.shares),
             seconds: started.elapsed().as_secs_f64(),
             warnings,
         };
         Ok(Fit { material, report })
     })
+}
+
+/// The photos as the loss compares with them.
+fn targets(capture: &Capture) -> Result<Vec<Target>> {
+    capture.photos().iter().map(Target::from_photo).collect()
 }
 
 /// How maps are found.

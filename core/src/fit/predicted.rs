@@ -1,5 +1,5 @@
-//! The fit with the default network: it predicts the maps and how sure it is of them; what pixels have in common is fitted to the photos
-//! from there on ([`direct`](super::direct)), then every pixel by itself ([`finish`](super::finish)).
+//! The fit with the default network: it predicts the maps and how sure it is of them. What pixels have in common is fitted to the photos
+//! from a flat start ([`direct`](super::direct)), then every pixel by itself ([`finish`](super::finish)).
 
 use std::time::Instant;
 
@@ -7,40 +7,34 @@ use crate::capture::Capture;
 use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::direct::fit_direct;
-use crate::fit::finish::{Finished, Settings, Start, finish};
+use crate::fit::finish::{Belief, Start, finish};
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
+use crate::fit::targets;
 use crate::maps::{Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::metrics::photo_rmse;
-use crate::nn::{PhotoGraph, Prediction};
-use crate::render::{Target, render_maps};
+use crate::nn::PhotoGraph;
+use crate::render::render_maps;
 
 /// Half a raw albedo or roughness is the unit of the network's certainty, except for the two planes of the normal.
 const UNITS: [f32; 9] = [2.0, 2.0, 2.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0];
 
-/// Maps, and what the finish found beside them where it ran.
-pub(crate) struct Predicted {
-    pub maps: Maps<f32>,
-    pub finished: Option<Finished>,
-}
-
-/// Predicts isotropic maps from all photos of `capture` and finishes them.
+/// Predicts isotropic maps from all photos of `capture` and finishes them; with what the finish came to believe, where it ran.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the network's values are not finite.
 pub(crate) fn fit_predicted(
     capture: &Capture,
-    targets: &[Target],
     graph: &PhotoGraph,
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
-) -> Result<Predicted> {
+) -> Result<(Maps<f32>, Option<Belief>)> {
     let begun = Instant::now();
     control.report(Stage::Encode, 0, 1, None)?;
     let mut prediction = graph.predict(capture, control)?;
-    let maps = graph.maps(&prediction)?;
+    let mut maps = graph.maps(&prediction)?;
     let loss = loss(capture, &maps)?;
     stages.push(StageReport {
         stage: Stage::Encode,
@@ -54,13 +48,12 @@ pub(crate) fn fit_predicted(
     control.report(Stage::Encode, 1, 1, Some(loss))?;
     // A single photo's highlight would end up in the diffuse albedo.
     let shared = if capture.len() == 1 { 0 } else { options.preset.direct_steps() };
-    let maps = match options.direct_steps.unwrap_or(shared) {
-        0 => maps,
-        _ => fit_direct(capture, targets, options, stages, control)?,
-    };
+    if options.direct_steps.unwrap_or(shared) > 0 {
+        maps = fit_direct(capture, &targets(capture)?, options, stages, control)?;
+    }
     let steps = options.finish_steps.unwrap_or(options.preset.finish_steps());
     if steps == 0 {
-        return Ok(Predicted { maps, finished: None });
+        return Ok((maps, None));
     }
     let pixels = capture.width() * capture.height();
     let planes = prediction.log_sigma.chunks_exact_mut(pixels);
@@ -69,10 +62,9 @@ pub(crate) fn fit_predicted(
     let mut shared = prediction.raw.clone();
     encode(&maps, floor, &mut shared);
     let start = Start { raw: &shared, network: &prediction.raw, deviation: &prediction.log_sigma };
-    let finished = finish(capture, start, f64::from(floor), Settings { steps }, stages, control)?;
-    let prediction = Prediction { raw: finished.raw, log_sigma: Vec::new(), ..prediction };
-    let maps = graph.maps(&prediction)?;
-    Ok(Predicted { maps, finished: Some(Finished { raw: prediction.raw, ..finished }) })
+    let (raw, belief) = finish(capture, start, f64::from(floor), steps, stages, control)?;
+    graph.decoding()?.decode(&raw, &mut maps)?;
+    Ok((maps, Some(belief)))
 }
 
 /// The raw planes of isotropic maps: the inverse of [`Decoding`](crate::nn::Decoding).

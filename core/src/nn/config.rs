@@ -5,7 +5,8 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::params::{AdapterParams, block_tensors};
-use crate::error::{Error, Result};
+use super::weights::broken;
+use crate::error::Result;
 use crate::maps::Lobe;
 
 /// How the features of several photos are fused.
@@ -40,6 +41,28 @@ pub struct NetworkConfig {
     pub lobe: Lobe,
     /// Raw roughness below this decodes as this; -1 where there is no floor, -0.3 in the released form.
     pub roughness_floor: f32,
+}
+
+/// The adapters of isotropic maps in the order of their outputs: name in a weights file, planes.
+pub(crate) const ISOTROPIC_ADAPTERS: [(&str, usize); 4] =
+    [("diff_conv", 3), ("normal_conv", 2), ("rough_conv", 1), ("spec_conv", 3)];
+
+/// Fails unless a network's size is in a sane range.
+pub(crate) fn within(name: &str, value: usize, low: usize, high: usize) -> Result<()> {
+    if (low..=high).contains(&value) {
+        Ok(())
+    } else {
+        Err(broken(format!("{name}: expected {low} to {high}, got {value}")))
+    }
+}
+
+/// Fails unless raw roughness can have this floor.
+pub(crate) fn check_roughness_floor(floor: f32) -> Result<()> {
+    if (-1.0..1.0).contains(&floor) {
+        Ok(())
+    } else {
+        Err(broken(format!("roughness_floor: expected -1 to 1, got {floor}")))
+    }
 }
 
 /// Name and shape of a tensor.
@@ -81,7 +104,7 @@ impl NetworkConfig {
     /// The adapters in the order of their outputs: name in a weights file, planes.
     pub fn adapters(&self) -> &'static [(&'static str, usize)] {
         match self.lobe {
-            Lobe::Isotropic => &[("diff_conv", 3), ("normal_conv", 2), ("rough_conv", 1), ("spec_conv", 3)],
+            Lobe::Isotropic => &ISOTROPIC_ADAPTERS,
             Lobe::Anisotropic => {
                 &[("diff_conv", 3), ("normal_conv", 3), ("ax_ay_conv", 2), ("spec_conv", 3), ("tang_conv", 3)]
             }
@@ -90,14 +113,7 @@ impl NetworkConfig {
 
     /// Fails unless the sizes make a network of sane size.
     pub(crate) fn validate(&self) -> Result<()> {
-        let fail = |reason: String| Err(Error::Weights { reason });
-        let within = |name: &str, value: usize, low: usize, high: usize| {
-            if (low..=high).contains(&value) {
-                Ok(())
-            } else {
-                fail(format!("{name}: expected {low} to {high}, got {value}"))
-            }
-        };
+        let fail = |reason: String| Err(broken(reason));
         within("photos", self.photos, 1, 64)?;
         within("width", self.width, 1, 1024)?;
         within("levels", self.levels(), 1, 6)?;
@@ -115,10 +131,7 @@ impl NetworkConfig {
         if self.gcn != Gcn::None && !self.width.is_multiple_of(self.photos) {
             return fail(format!("width: expected a multiple of {} photos, got {}", self.photos, self.width));
         }
-        if !(-1.0..1.0).contains(&self.roughness_floor) {
-            return fail(format!("roughness_floor: expected -1 to 1, got {}", self.roughness_floor));
-        }
-        Ok(())
+        check_roughness_floor(self.roughness_floor)
     }
 
     /// Channels at level `level`.

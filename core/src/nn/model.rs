@@ -567,10 +567,34 @@ fn skips(code: &Code) -> Vec<Planes<f32>> {
     code.skips.iter().map(|skip| skip.branch()).collect()
 }
 
+/// What tests of weights files share.
+#[cfg(test)]
+pub(super) mod testing {
+    use super::Model;
+    use crate::error::Error;
+
+    /// The file with its header changed by `edit`.
+    pub fn edited(file: &[u8], edit: impl FnOnce(&mut serde_json::Map<String, serde_json::Value>)) -> Vec<u8> {
+        let len = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
+        let mut header = serde_json::from_slice(&file[8..8 + len]).unwrap();
+        edit(&mut header);
+        let header = serde_json::to_vec(&header).unwrap();
+        [&(header.len() as u64).to_le_bytes()[..], &header, &file[8 + len..]].concat()
+    }
+
+    pub fn reason(file: &[u8]) -> String {
+        match Model::from_bytes(file) {
+            Err(Error::Weights { reason }) => reason,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::ops::ControlFlow;
 
+    use super::testing::{edited, reason};
     use super::{Model, NetworkConfig};
     use crate::error::Error;
     use crate::fit::progress::{CancelToken, Control, Progress};
@@ -599,22 +623,6 @@ mod tests {
         let path = folder.path().join("weights.safetensors");
         model.save(&path).unwrap();
         std::fs::read(path).unwrap()
-    }
-
-    /// The file with its header changed by `edit`.
-    fn edited(file: &[u8], edit: impl FnOnce(&mut serde_json::Map<String, serde_json::Value>)) -> Vec<u8> {
-        let len = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
-        let mut header = serde_json::from_slice(&file[8..8 + len]).unwrap();
-        edit(&mut header);
-        let header = serde_json::to_vec(&header).unwrap();
-        [&(header.len() as u64).to_le_bytes()[..], &header, &file[8 + len..]].concat()
-    }
-
-    fn reason(file: &[u8]) -> String {
-        match Model::from_bytes(file) {
-            Err(Error::Weights { reason }) => reason,
-            other => panic!("{other:?}"),
-        }
     }
 
     fn encode_and_decode(model: &Model, photos: usize, height: usize, width: usize) -> Vec<f32> {

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use crate::capture::{Capture, Shot};
+use crate::capture::{Capture, Photo};
 use crate::error::{Error, Result};
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
@@ -34,13 +34,6 @@ const OUTLIER: f64 = 3.0;
 /// Smallest deviation of the network that is believed, raw.
 const PRIOR_MIN: f64 = 0.02;
 
-/// What a finish is told.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Settings {
-    /// Levenberg-Marquardt steps per pixel in the last pass.
-    pub steps: usize,
-}
-
 /// What a finish starts from: nine planes each of raw values and of the network's standard deviations.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Start<'a> {
@@ -52,11 +45,9 @@ pub(crate) struct Start<'a> {
     pub deviation: &'a [f32],
 }
 
-/// What a finish found.
-#[derive(Clone, Debug)]
-pub(crate) struct Finished {
-    /// Nine planes of raw values.
-    pub raw: Vec<f32>,
+/// What the photos were found to say about photos and prior.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Belief {
     /// Standard deviation of the photos that was chosen.
     pub photo_deviation: f64,
     /// Shares of the network's deviation that were believed: in normals; in specular albedo and roughness.
@@ -65,23 +56,20 @@ pub(crate) struct Finished {
 
 /// A photo as the finish compares with it.
 struct View<'a> {
-    shot: Shot,
+    photo: &'a Photo,
     /// Encoded colour of every pixel.
     code: Vec<[f32; 3]>,
-    saturated: &'a [u8],
 }
 
 /// The data and the prior.
 struct Problem<'a> {
-    width: usize,
-    height: usize,
-    patch_size: f64,
+    capture: &'a Capture,
     views: Vec<View<'a>>,
     start: Start<'a>,
     roughness_floor: f64,
 }
 
-/// A finished row of pixels, and its cost before (the photos' part) and after.
+/// A finished row of pixels, and its cost before and after.
 struct Row {
     raw: Vec<[f32; RAW]>,
     first_cost: f64,
@@ -134,13 +122,16 @@ impl Trust {
 
 impl<'a> Problem<'a> {
     fn pixels(&self) -> usize {
-        self.width * self.height
+        self.capture.width() * self.capture.height()
     }
 
-    fn position(&self, pixel: usize) -> (f64, f64) {
-        let pitch = self.patch_size / self.width as f64;
-        let (row, column) = ((pixel / self.width) as f64, (pixel % self.width) as f64);
-        ((column + 0.5 - 0.5 * self.width as f64) * pitch, (0.5 * self.height as f64 - row - 0.5) * pitch)
+    /// The least and the largest value of the raw value `i`.
+    fn range(&self, i: usize) -> (f64, f64) {
+        match i {
+            NORMAL..ROUGHNESS => (f64::NEG_INFINITY, f64::INFINITY),
+            ROUGHNESS => (self.roughness_floor, 1.0),
+            _ => (-0.999, 1.0),
+        }
     }
 
     fn prior(&self, pixel: usize, trust: Trust) -> Prior {
@@ -164,11 +155,8 @@ impl<'a> Problem<'a> {
     /// Moves values into their ranges.
     fn limit(&self, raw: &mut [f64; RAW]) {
         for (i, value) in raw.iter_mut().enumerate() {
-            *value = match i {
-                NORMAL..ROUGHNESS => *value,
-                ROUGHNESS => value.clamp(self.roughness_floor, 1.0),
-                _ => value.clamp(-0.999, 1.0),
-            };
+            let (low, high) = self.range(i);
+            *value = value.clamp(low, high);
         }
         let length2 = raw[NORMAL].powi(2) + raw[NORMAL + 1].powi(2);
         if length2 > FLAT_LIMIT {
@@ -180,8 +168,9 @@ impl<'a> Problem<'a> {
 
     /// The pixel in every photo.
     fn sights(&self, pixel: usize) -> Vec<Sight> {
-        let (x, y) = self.position(pixel);
-        self.views.iter().map(|view| Sight::new(&view.shot, x, y)).collect()
+        let width = self.capture.width();
+        let [x, y] = self.capture.position(pixel / width, pixel % width);
+        self.views.iter().map(|view| Sight::new(&view.photo.shot, x, y)).collect()
     }
 
     /// Calls `each` for everything that `raw` is compared with; returns the photos' part of the cost.
@@ -203,7 +192,7 @@ impl<'a> Problem<'a> {
             let seen = sight.look(&surface);
             for c in 0..3 {
                 let residual = seen.code[c] - f64::from(view.code[pixel][c]);
-                if view.saturated[pixel] >> c & 1 == 1 && residual > 0.0 {
+                if view.photo.saturated[pixel] >> c & 1 == 1 && residual > 0.0 {
                     continue;
                 }
                 let relative = residual * residual / scale;
@@ -238,7 +227,7 @@ impl<'a> Problem<'a> {
         system
     }
 
-    /// Moves `raw` by up to `steps` Levenberg-Marquardt steps; returns the cost where it ends.
+    /// Moves `raw` by up to `steps` Levenberg-Marquardt steps; returns the cost where it begins and where it ends.
     fn fit(
         &self,
         pixel: usize,
@@ -247,8 +236,9 @@ impl<'a> Problem<'a> {
         prior: &Prior,
         trust: Trust,
         steps: usize,
-    ) -> f64 {
+    ) -> (f64, f64) {
         let mut system = self.system(pixel, sights, raw, prior, trust);
+        let first = system.cost;
         let mut damping = 1e-2;
         for _ in 0..steps {
             let mut matrix = system.matrix;
@@ -256,11 +246,7 @@ impl<'a> Problem<'a> {
             for i in 0..RAW {
                 matrix[i][i] *= 1.0 + damping;
                 // At a limit and pushed against it: held.
-                let (low, high) = match i {
-                    NORMAL..ROUGHNESS => (f64::NEG_INFINITY, f64::INFINITY),
-                    ROUGHNESS => (self.roughness_floor, 1.0),
-                    _ => (-0.999, 1.0),
-                };
+                let (low, high) = self.range(i);
                 if raw[i] <= low && gradient[i] > 0.0 || raw[i] >= high && gradient[i] < 0.0 {
                     gradient[i] = 0.0;
                     matrix[i][i] *= 1e6;
@@ -287,30 +273,34 @@ impl<'a> Problem<'a> {
                 }
             }
         }
-        system.cost
+        (first, system.cost)
     }
 
     /// Fits a row of pixels.
     fn finish_row(&self, row: usize, trust: Trust, steps: usize) -> Row {
-        let mut out = Row { raw: Vec::with_capacity(self.width), first_cost: 0.0, last_cost: 0.0 };
-        for pixel in row * self.width..(row + 1) * self.width {
+        let width = self.capture.width();
+        let mut out = Row { raw: Vec::with_capacity(width), first_cost: 0.0, last_cost: 0.0 };
+        for pixel in row * width..(row + 1) * width {
             let (sights, prior) = (self.sights(pixel), self.prior(pixel, trust));
             let mut raw = prior.mean;
-            out.first_cost += self.compare(pixel, &sights, &raw, trust, |_| ());
-            out.last_cost += self.fit(pixel, &sights, &mut raw, &prior, trust, steps);
+            let (first, last) = self.fit(pixel, &sights, &mut raw, &prior, trust, steps);
+            out.first_cost += first;
+            out.last_cost += last;
             out.raw.push(raw.map(|value| value as f32));
         }
         out
     }
 
-    /// Pixels on a regular grid, about `count`.
-    fn sample(&self, count: usize) -> Vec<usize> {
+    /// Pixels on a regular grid, about `count`, each in every photo.
+    fn sample(&self, count: usize) -> Vec<(usize, Vec<Sight>)> {
+        let (width, height) = (self.capture.width(), self.capture.height());
         let pitch = (self.pixels() as f64 / count as f64).sqrt().max(1.0);
         let ticks = |len: usize| {
             let number = ((len as f64 / pitch).round() as usize).clamp(1, len);
             (0..number).map(move |i| (2 * i + 1) * len / (2 * number))
         };
-        ticks(self.height).flat_map(|row| ticks(self.width).map(move |column| row * self.width + column)).collect()
+        let pixels = ticks(height).flat_map(|row| ticks(width).map(move |column| row * width + column));
+        pixels.map(|pixel| (pixel, self.sights(pixel))).collect()
     }
 
     /// The trust with which photos that are left out are predicted best, found one value after the other.
@@ -347,7 +337,7 @@ impl<'a> Problem<'a> {
     }
 
     /// Mean squared error of photos that are left out one at a time, on the pixels of `sample`.
-    fn left_out_error(&self, trust: Trust, sample: &[usize]) -> f64 {
+    fn left_out_error(&self, trust: Trust, sample: &[(usize, Vec<Sight>)]) -> f64 {
         let count = self.views.len();
         let folds = count.min(LEFT_OUT);
         let mut total = (0.0, 0.0);
@@ -357,13 +347,12 @@ impl<'a> Problem<'a> {
             // Summed in order: the same bits on any number of threads.
             let errors: Vec<(f64, f64)> = sample
                 .par_iter()
-                .map(|&pixel| {
-                    let sights = self.sights(pixel);
+                .map(|&(pixel, ref sights)| {
                     let prior = self.prior(pixel, trust);
                     let mut raw = prior.mean;
-                    self.fit(pixel, &sights, &mut raw, &prior, trust, 6);
+                    self.fit(pixel, sights, &mut raw, &prior, trust, 6);
                     let seen = sights[without].look(&Surface::new(&raw));
-                    let known = (0..3).filter(|c| view.saturated[pixel] >> c & 1 == 0);
+                    let known = (0..3).filter(|c| view.photo.saturated[pixel] >> c & 1 == 0);
                     let error = |c: usize| (seen.code[c].min(1.0) - f64::from(view.code[pixel][c])).powi(2);
                     known.fold((0.0, 0.0), |(sum, count), c| (sum + error(c), count + 1.0))
                 })
@@ -376,12 +365,12 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// Where the slopes of channel `c` belong among the raw values, in ascending order but for the diffuse value, which is the first.
+/// Where the slopes of channel `c` belong among the raw values, in ascending order.
 fn places(c: usize) -> [usize; 5] {
     [c, NORMAL, NORMAL + 1, ROUGHNESS, SPECULAR + c]
 }
 
-/// Fits every pixel of `capture` to the photos, with nine planes of predicted `raw` values and their standard deviations as the prior.
+/// Fits every pixel of `capture` to the photos with `start` as the prior, by up to `steps` Levenberg-Marquardt steps: nine planes of raw values.
 ///
 /// # Errors
 /// [`Error::ShapeMismatch`] if the planes are not of the capture's size; [`Error::Cancelled`].
@@ -389,10 +378,10 @@ pub(crate) fn finish(
     capture: &Capture,
     start: Start<'_>,
     roughness_floor: f64,
-    settings: Settings,
+    steps: usize,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
-) -> Result<Finished> {
+) -> Result<(Vec<f32>, Belief)> {
     let begun = Instant::now();
     let (width, height) = (capture.width(), capture.height());
     let pixels = width * height;
@@ -403,16 +392,10 @@ pub(crate) fn finish(
         }
     }
     control.report(Stage::Finish, 0, 2, None)?;
-    let encode = |photo: &crate::capture::Photo| {
-        let code = |color: &[f32]| [0, 1, 2].map(|c| encode_radiance(color[c]));
-        photo.image.data().chunks_exact(3).map(code).collect()
-    };
-    let views = capture
-        .photos()
-        .iter()
-        .map(|photo| View { shot: photo.shot, code: encode(photo), saturated: &photo.saturated })
-        .collect();
-    let problem = Problem { width, height, patch_size: capture.patch_size(), views, start, roughness_floor };
+    let code = |color: &[f32]| [0, 1, 2].map(|c| encode_radiance(color[c]));
+    let view = |photo| View { photo, code: photo.image.data().chunks_exact(3).map(code).collect() };
+    let views = capture.photos().iter().map(view).collect();
+    let problem = Problem { capture, views, start, roughness_floor };
 
     let trust = problem.choose(control)?;
     control.report(Stage::Finish, 1, 2, None)?;
@@ -421,7 +404,7 @@ pub(crate) fn finish(
     // Some rows at a time, so that a caller who wants to stop is heard.
     for start in (0..height).step_by(64) {
         let part = start..height.min(start + 64);
-        rows.par_extend(part.into_par_iter().map(|row| problem.finish_row(row, trust, settings.steps)));
+        rows.par_extend(part.into_par_iter().map(|row| problem.finish_row(row, trust, steps)));
         control.poll()?;
     }
     let mut planes = vec![0.0; RAW * pixels];
@@ -434,7 +417,7 @@ pub(crate) fn finish(
     let unit = 1000.0 * trust.photo * trust.photo / (3 * pixels * capture.len()) as f64;
     stages.push(StageReport {
         stage: Stage::Finish,
-        steps: settings.steps,
+        steps,
         first_loss: unit * rows.iter().map(|row| row.first_cost).sum::<f64>(),
         best_loss: unit * rows.iter().map(|row| row.last_cost).sum::<f64>(),
         rollbacks: 0,
@@ -442,14 +425,14 @@ pub(crate) fn finish(
         seconds: begun.elapsed().as_secs_f64(),
     });
     control.report(Stage::Finish, 2, 2, None)?;
-    Ok(Finished { raw: planes, photo_deviation: trust.photo, shares: [trust.normal, trust.specular] })
+    Ok((planes, Belief { photo_deviation: trust.photo, shares: [trust.normal, trust.specular] }))
 }
 
 #[cfg(test)]
 mod tests {
     use std::ops::ControlFlow;
 
-    use super::{Finished, RAW, Settings, Start, finish};
+    use super::{Belief, RAW, Start, finish};
     use crate::capture::{Capture, Photo, Shot};
     use crate::color::Transfer;
     use crate::error::Error;
@@ -501,16 +484,15 @@ mod tests {
         Capture::new(photos.collect(), 2.0, Transfer::Linear).unwrap()
     }
 
-    fn run(capture: &Capture, raw: &[f32], deviation: f32) -> Finished {
+    fn run(capture: &Capture, raw: &[f32], deviation: f32) -> (Vec<f32>, Belief) {
         let mut callback = |_: &Progress| ControlFlow::Continue(());
         let mut control = Control::new(&mut callback, CancelToken::new());
-        let settings = Settings { steps: 20 };
         let mut stages = Vec::new();
         let finished = finish(
             capture,
             Start { raw, network: raw, deviation: &vec![deviation; raw.len()] },
             -0.9,
-            settings,
+            20,
             &mut stages,
             &mut control,
         )
@@ -534,10 +516,10 @@ mod tests {
     fn photos_correct_a_wrong_prediction() {
         let truth = truth();
         let start = disturbed(&truth, 0.2);
-        let finished = run(&capture(&truth, 8), &start, 0.12);
-        assert!(finished.photo_deviation <= 0.0125, "{}", finished.photo_deviation);
+        let (raw, belief) = run(&capture(&truth, 8), &start, 0.12);
+        assert!(belief.photo_deviation <= 0.0125, "{belief:?}");
         for planes in [0..3, 3..5, 5..6, 6..9] {
-            let (before, after) = (rms(&start, &truth, planes.clone()), rms(&finished.raw, &truth, planes.clone()));
+            let (before, after) = (rms(&start, &truth, planes.clone()), rms(&raw, &truth, planes.clone()));
             assert!(after < 0.5 * before, "{planes:?}: {before} {after}");
         }
     }
@@ -549,8 +531,8 @@ mod tests {
         dark.shot.light_intensity = [1e-9; 3];
         dark.image = Image::new(WIDTH, HEIGHT, 3, vec![0.0; 3 * PIXELS]).unwrap();
         let black = Capture::new(vec![dark], 2.0, Transfer::Linear).unwrap();
-        let finished = run(&black, &truth, 0.1);
-        assert!(rms(&finished.raw, &truth, 0..RAW) < 1e-6);
+        let (raw, _) = run(&black, &truth, 0.1);
+        assert!(rms(&raw, &truth, 0..RAW) < 1e-6);
     }
 
     #[test]
@@ -561,7 +543,7 @@ mod tests {
             let mut callback = |_: &Progress| answer;
             let mut control = Control::new(&mut callback, CancelToken::new());
             let start = Start { raw, network: &truth, deviation: &truth };
-            finish(&capture, start, -1.0, Settings { steps: 1 }, &mut Vec::new(), &mut control)
+            finish(&capture, start, -1.0, 1, &mut Vec::new(), &mut control)
         };
         assert!(matches!(attempt(&truth[1..], ControlFlow::Continue(())), Err(Error::ShapeMismatch { .. })));
         assert!(matches!(attempt(&truth, ControlFlow::Break(())), Err(Error::Cancelled)));

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::error::Result;
-use crate::nn::config::TensorSpec;
+use crate::nn::config::{ISOTROPIC_ADAPTERS, TensorSpec, check_roughness_floor, within};
 use crate::nn::kernels::NORM_EPSILON;
 use crate::nn::params::block_tensors;
 use crate::nn::weights::broken;
@@ -21,9 +21,6 @@ pub(crate) const HINTS: usize = 10;
 pub(crate) const HINT_RIDGE: f64 = 1e-2;
 /// Bounds of the logarithm of the standard deviation.
 pub(crate) const LOG_SIGMA: [f64; 2] = [-7.0, 1.0];
-/// The adapters in the order of their outputs: name, planes.
-pub(crate) const ADAPTERS: [(&str, usize); 4] =
-    [("diff_conv", 3), ("normal_conv", 2), ("rough_conv", 1), ("spec_conv", 3)];
 /// Raw planes of all adapters.
 pub(crate) const RAW_PLANES: usize = 9;
 
@@ -99,7 +96,7 @@ impl Form {
             norm_eps: NORM_EPSILON,
             spread_eps: SPREAD_EPSILON,
             log_sigma: LOG_SIGMA,
-            adapters: ADAPTERS.map(|(name, planes)| (name.into(), planes)).into(),
+            adapters: ISOTROPIC_ADAPTERS.map(|(name, planes)| (name.into(), planes)).into(),
         }
     }
 }
@@ -162,13 +159,6 @@ impl PhotoGraphConfig {
 
     /// Fails unless the sizes make a network of sane size.
     pub(crate) fn validate(&self) -> Result<()> {
-        let within = |name: &str, value: usize, low: usize, high: usize| {
-            if (low..=high).contains(&value) {
-                Ok(())
-            } else {
-                Err(broken(format!("{name}: expected {low} to {high}, got {value}")))
-            }
-        };
         within("stem", self.stem, 1, 512)?;
         within("node", self.node, 1, 1024)?;
         within("heads", self.heads, 1, 64)?;
@@ -190,10 +180,7 @@ impl PhotoGraphConfig {
         if !self.node.is_multiple_of(self.heads) {
             return Err(broken(format!("node: expected a multiple of {} heads, got {}", self.heads, self.node)));
         }
-        if !(-1.0..1.0).contains(&self.roughness_floor) {
-            return Err(broken(format!("roughness_floor: expected -1 to 1, got {}", self.roughness_floor)));
-        }
-        Ok(())
+        check_roughness_floor(self.roughness_floor)
     }
 
     /// Levels of the trunk below its first, each of half the resolution of the one before.
@@ -260,7 +247,7 @@ impl PhotoGraphConfig {
         layer(&mut list, "skip", [tail, 3 * stem + HINTS + 1, 1, 1]);
         blocks(&mut list, "tail", self.tail_blocks, tail);
         layer(&mut list, "ending", [feature, tail, 3, 3]);
-        for (name, outputs) in ADAPTERS {
+        for (name, outputs) in ISOTROPIC_ADAPTERS {
             block(&mut list, &format!("{name}.conv"), feature);
             layer(&mut list, &format!("{name}.end"), [outputs, feature, 3, 3]);
         }

@@ -1,10 +1,11 @@
 //! The photo graph, put together from operations; no gradients.
 
-use super::config::{ADAPTERS, HINTS, LOG_SIGMA, PhotoGraphConfig};
+use super::config::{HINTS, LOG_SIGMA, PhotoGraphConfig};
 use super::hints::Hints;
 use super::rounds::{DIRECTIONS, Node, Pooling, Round};
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
+use crate::nn::config::ISOTROPIC_ADAPTERS;
 use crate::nn::layout::Layout;
 use crate::nn::nafnet::{Block, Layer, block_within};
 use crate::nn::network::{Blocks, Source, blocks, layer};
@@ -115,7 +116,7 @@ impl<E: Scalar> Net<E> {
         let levels = (0..levels).map(level).collect::<Result<_>>()?;
         let rounds = (0..config.rounds).map(|round| Round::new(config, get, &format!("rounds.{round}")));
         let rounds = rounds.collect::<Result<_>>()?;
-        let adapters = ADAPTERS.map(|(name, _)| Adapter::new(get, name, config.feature));
+        let adapters = ISOTROPIC_ADAPTERS.map(|(name, _)| Adapter::new(get, name, config.feature));
         let adapters = adapters.into_iter().collect::<Result<_>>()?;
         Ok(Self {
             intro: layer(get, "intro")?,

@@ -16,6 +16,7 @@ use crate::image::Image;
 use crate::maps::{Lobe, Maps};
 use crate::nn::layout::Layout;
 use crate::nn::model::Model;
+use crate::nn::model::testing::{self, reason};
 use crate::nn::ops::testing::{compare, numbers};
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Planes, Pool};
@@ -244,19 +245,7 @@ fn can_be_cancelled() {
 
 /// The fixture's weights with the metadata or header changed.
 fn edited(edit: impl FnOnce(&mut serde_json::Map<String, serde_json::Value>)) -> Vec<u8> {
-    let file = fixture("weights.safetensors");
-    let len = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
-    let mut header = serde_json::from_slice(&file[8..8 + len]).unwrap();
-    edit(&mut header);
-    let header = serde_json::to_vec(&header).unwrap();
-    [&(header.len() as u64).to_le_bytes()[..], &header, &file[8 + len..]].concat()
-}
-
-fn reason(file: &[u8]) -> String {
-    match Model::from_bytes(file) {
-        Err(Error::Weights { reason }) => reason,
-        other => panic!("{other:?}"),
-    }
+    testing::edited(&fixture("weights.safetensors"), edit)
 }
 
 #[test]
