@@ -1,5 +1,7 @@
 """Variation of sampled crops (B, 10, H, W): everything is drawn per material."""
 
+import math
+
 import torch
 import torch.nn.functional as functional
 
@@ -63,6 +65,10 @@ def respecular(maps, dice):
     strength = torch.where(dice.chance(0.5), dice.uniform(0.6, 1.4), torch.exp(dice.normal(0.6)))
     tint = torch.where(dice.chance(0.3), dice.uniform(0.6, 1.0, 3), dice.uniform(1, 1, 3))
     scaled = (specular * strength * tint).clamp(0.01, 1)
+    # Coats of any strength over the diffuse albedo: photographed surfaces read as 0.02 to 0.5, libraries of dielectrics hold 0.04 alone.
+    dielectric = 1 - ((specular.mean(1, keepdim=True) - 0.05) / 0.15).clamp(0, 1)
+    coat = torch.exp(dice.uniform(math.log(0.02), math.log(0.5))) * tint
+    scaled = scaled + dielectric * dice.chance(0.45) * (coat - scaled)
     # The pattern of the diffuse albedo carried over into a metal's reflectance.
     metal = (diffuse / diffuse.amax((1, 2, 3), keepdim=True).clamp_min(0.02) * dice.uniform(0.4, 1.0)).clamp(0.04, 1)
     amount = torch.where(dice.chance(0.08), torch.where(dice.chance(0.7), dice.uniform(1, 1), dice.uniform(0, 1)), dice.uniform(0, 0))
@@ -76,7 +82,7 @@ def reroughen(maps, dice):
     diffuse, normal, roughness, specular = maps.split([3, 3, 1, 3], 1)
     mean = roughness.mean((2, 3), keepdim=True)
     contrast = torch.exp(dice.normal(0.4)) * torch.where(dice.chance(0.1), dice.uniform(-1, -1), dice.uniform(1, 1))
-    level = torch.where(dice.chance(0.35), dice.uniform(0.1, 0.8), mean + dice.normal(0.08))
+    level = torch.where(dice.chance(0.45), dice.uniform(0.1, 0.8), mean + dice.normal(0.08))
     changed = level + (roughness - mean) * contrast
     roughness = torch.where(dice.chance(0.7), changed, roughness).clamp(0.07, 1)
     return join(diffuse, normal, roughness, specular)

@@ -109,7 +109,7 @@ class Draw:
 
     def coat(self):
         """F0 of a dielectric."""
-        return torch.where(self.coin(0.7), self.uniform(0.03, 0.055), self.uniform(0.02, 0.12)).expand(-1, 3, -1, -1)
+        return torch.where(self.coin(0.55), self.uniform(0.03, 0.055), self.log_uniform(0.02, 0.4)).expand(-1, 3, -1, -1)
 
     def roughness(self, low, high):
         return self.uniform(low, high)
