@@ -22,7 +22,7 @@ pub use error::{Error, Result};
 pub use export::{ExportOptions, ExportReport, ExportTarget, NormalConvention};
 pub use fit::options::{FitOptions, Method, Preset};
 pub use fit::progress::{CancelToken, Progress};
-pub use fit::{Fit, fit_material};
+pub use fit::{Deviations, Fit, fit_material};
 pub use image::Image;
 pub use maps::{Lobe, Maps};
 pub use material::Material;

@@ -12,10 +12,10 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 use svbrdf_gcn::io::material::{
-    LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_report,
+    LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_deviations, read_report,
 };
 use svbrdf_gcn::io::read_image;
-use svbrdf_gcn::{ColorSpace, Image, Lobe, Maps, Material, Transfer};
+use svbrdf_gcn::{ColorSpace, Deviations, Image, Lobe, Maps, Material, Transfer};
 use tempfile::TempDir;
 
 const SIZE: (usize, usize) = (5, 3);
@@ -199,6 +199,35 @@ fn json_says_what_is_there() {
     assert_eq!(value["report"], report);
     assert_eq!(read_report(dir.path()).unwrap(), Some(report));
     assert_eq!(Material::load(dir.path()).unwrap().patch_size, 12.5);
+}
+
+#[test]
+fn deviations_lie_beside_the_maps() {
+    let grey = |value: f32| Image::new(5, 3, 1, vec![value; 15]).unwrap();
+    let deviations = Deviations {
+        diffuse_albedo: grey(0.125),
+        specular_albedo: grey(0.0625),
+        roughness: grey(0.25),
+        normal: grey(0.5),
+    };
+    let dir = TempDir::new().unwrap();
+    let (path, material) = (dir.path(), material(Lobe::Isotropic));
+    for format in [MaterialFormat::Tiff, MaterialFormat::Exr] {
+        material.save(path, &SaveOptions::new(format).deviations(Some(deviations.clone()))).unwrap();
+        assert_eq!(read_deviations(path).unwrap().as_ref(), Some(&deviations));
+        assert_eq!(names(path).len(), 9, "those of the other format are gone: {:?}", names(path));
+    }
+    fs::rename(path.join("roughness.exr"), path.join("kept.exr")).unwrap();
+    fs::copy(path.join("diffuse.exr"), path.join("roughness_deviation.exr")).unwrap();
+    assert!(read_deviations(path).unwrap_err().to_string().contains("roughness_deviation.exr"));
+    fs::remove_file(path.join("kept.exr")).unwrap();
+    material.save(path, &SaveOptions::default()).unwrap();
+    assert_eq!(read_deviations(path).unwrap(), None);
+    assert_eq!(names(path).len(), 5, "{:?}", names(path));
+
+    let small = Deviations { normal: Image::new(3, 3, 1, vec![0.5; 9]).unwrap(), ..deviations };
+    let message = material.save(path, &SaveOptions::default().deviations(Some(small))).unwrap_err().to_string();
+    assert!(message.contains("normal_deviation"), "{message}");
 }
 
 #[test]

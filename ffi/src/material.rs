@@ -3,11 +3,11 @@
 use std::ffi::{CString, c_char};
 
 use serde_json::Value;
-use svbrdf_gcn::io::material::read_report;
+use svbrdf_gcn::io::material::{read_deviations, read_report};
 use svbrdf_gcn::metrics::photo_rmse;
 use svbrdf_gcn::nn::Model;
 use svbrdf_gcn::render::render;
-use svbrdf_gcn::{Fit, Image, Material, fit_material};
+use svbrdf_gcn::{Deviations, Fit, Image, Material, fit_material};
 
 use crate::capture::svbrdf_gcn_capture;
 use crate::guard::{borrow, guard, guard_value, path, text};
@@ -25,6 +25,7 @@ use svbrdf_gcn_map_kind::*;
 /// The maps of a material. Immutable: any number of threads may use it at once.
 pub struct svbrdf_gcn_material {
     material: Material,
+    deviations: Option<Deviations>,
     unit: Option<String>,
     report: Option<Value>,
     report_json: CString,
@@ -32,10 +33,16 @@ pub struct svbrdf_gcn_material {
 }
 
 impl svbrdf_gcn_material {
-    fn new(material: Material, unit: Option<String>, report: Option<Value>, warnings: &[String]) -> Self {
+    fn new(
+        material: Material,
+        deviations: Option<Deviations>,
+        unit: Option<String>,
+        report: Option<Value>,
+        warnings: &[String],
+    ) -> Self {
         let report_json = c_string(&report.as_ref().unwrap_or(&Value::Null).to_string());
         let warnings = warnings.iter().map(|warning| c_string(warning)).collect();
-        Self { material, unit, report, report_json, warnings }
+        Self { material, deviations, unit, report, report_json, warnings }
     }
 }
 
@@ -52,6 +59,14 @@ pub enum svbrdf_gcn_map_kind {
     SVBRDF_GCN_MAP_NORMAL = 3,
     /// Unit tangent of an anisotropic material, 3 channels, -1 to 1.
     SVBRDF_GCN_MAP_TANGENT = 4,
+    /// Standard deviation of the diffuse albedo (root mean square over colours), 1 channel; of materials that a fit with the default network made.
+    SVBRDF_GCN_MAP_DIFFUSE_ALBEDO_DEVIATION = 5,
+    /// Likewise of the specular albedo.
+    SVBRDF_GCN_MAP_SPECULAR_ALBEDO_DEVIATION = 6,
+    /// Likewise of the roughness.
+    SVBRDF_GCN_MAP_ROUGHNESS_DEVIATION = 7,
+    /// Likewise of the normal: about an angle in radians.
+    SVBRDF_GCN_MAP_NORMAL_DEVIATION = 8,
 }
 
 /// Recovers the material that the photos of `capture` show.
@@ -86,11 +101,11 @@ pub unsafe extern "C" fn svbrdf_gcn_fit_material(
         let mut callback = Callback::new(options.progress, options.progress_user_data);
         let fit = fit_material(capture, model, &fit_options, &mut |progress| callback.call(progress));
         callback.check()?;
-        let Fit { material, report } = fit?;
+        let Fit { material, deviations, report } = fit?;
         let json = serde_json::to_value(&report).map_err(|error| Failure::invalid("report", error))?;
         let unit = capture.unit().map(str::to_owned);
         // SAFETY: not NULL.
-        unsafe { give(out, svbrdf_gcn_material::new(material, unit, Some(json), &report.warnings)) };
+        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, unit, Some(json), &report.warnings)) };
         Ok(())
     })
 }
@@ -103,7 +118,8 @@ pub unsafe extern "C" fn svbrdf_gcn_material_destroy(material: *mut svbrdf_gcn_m
 }
 
 /// A view of a map (`map_kind` is a `svbrdf_gcn_map_kind`): packed floats that live as long as the material. Set `out->struct_size` first
-/// (`svbrdf_gcn_image_view_init`). An isotropic material has no tangent; asking for it is `SVBRDF_GCN_ERR_INVALID_ARGUMENT`.
+/// (`svbrdf_gcn_image_view_init`). An isotropic material has no tangent; asking for it is `SVBRDF_GCN_ERR_INVALID_ARGUMENT`, as it
+/// is for a deviation that is not known.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn svbrdf_gcn_material_map(
     material: *const svbrdf_gcn_material,
@@ -112,7 +128,8 @@ pub unsafe extern "C" fn svbrdf_gcn_material_map(
 ) -> svbrdf_gcn_status {
     guard(|| {
         // SAFETY: NULL or a living material, says the caller.
-        let maps = &unsafe { borrow("material", material) }?.material;
+        let svbrdf_gcn_material { material: maps, deviations, .. } = unsafe { borrow("material", material) }?;
+        let deviation = |image: fn(&Deviations) -> &Image| deviations.as_ref().map(image);
         let image: Option<&Image> = choose(
             "map_kind",
             map_kind,
@@ -122,9 +139,19 @@ pub unsafe extern "C" fn svbrdf_gcn_material_map(
                 (SVBRDF_GCN_MAP_ROUGHNESS as i32, Some(&maps.roughness)),
                 (SVBRDF_GCN_MAP_NORMAL as i32, Some(&maps.normal)),
                 (SVBRDF_GCN_MAP_TANGENT as i32, maps.tangent.as_ref()),
+                (SVBRDF_GCN_MAP_DIFFUSE_ALBEDO_DEVIATION as i32, deviation(|all| &all.diffuse_albedo)),
+                (SVBRDF_GCN_MAP_SPECULAR_ALBEDO_DEVIATION as i32, deviation(|all| &all.specular_albedo)),
+                (SVBRDF_GCN_MAP_ROUGHNESS_DEVIATION as i32, deviation(|all| &all.roughness)),
+                (SVBRDF_GCN_MAP_NORMAL_DEVIATION as i32, deviation(|all| &all.normal)),
             ],
         )?;
-        let image = image.ok_or_else(|| Failure::invalid("map_kind", "an isotropic material has no tangent"))?;
+        let image = image.ok_or_else(|| {
+            let missing = match map_kind {
+                kind if kind == SVBRDF_GCN_MAP_TANGENT as i32 => "an isotropic material has no tangent",
+                _ => "the material's deviations are not known",
+            };
+            Failure::invalid("map_kind", missing)
+        })?;
         // SAFETY: NULL or a view, says the caller.
         unsafe { view_of(image, out) }
     })
@@ -177,6 +204,7 @@ pub unsafe extern "C" fn svbrdf_gcn_material_save(
         let mut options = options.save_options()?;
         options.unit.clone_from(&handle.unit);
         options.report.clone_from(&handle.report);
+        options.deviations.clone_from(&handle.deviations);
         Ok(handle.material.save(folder, &options)?)
     })
 }
@@ -191,9 +219,9 @@ pub unsafe extern "C" fn svbrdf_gcn_material_load(
         expect_out(out)?;
         // SAFETY: NULL or a string, says the caller.
         let folder = unsafe { path("folder_utf8", folder_utf8) }?;
-        let (material, report) = (Material::load(folder)?, read_report(folder)?);
+        let (material, deviations, report) = (Material::load(folder)?, read_deviations(folder)?, read_report(folder)?);
         // SAFETY: not NULL.
-        unsafe { give(out, svbrdf_gcn_material::new(material, None, report, &[])) };
+        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, None, report, &[])) };
         Ok(())
     })
 }

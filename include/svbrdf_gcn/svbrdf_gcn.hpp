@@ -132,6 +132,10 @@ enum class Map : std::int32_t {
     Roughness = SVBRDF_GCN_MAP_ROUGHNESS,
     Normal = SVBRDF_GCN_MAP_NORMAL,
     Tangent = SVBRDF_GCN_MAP_TANGENT,
+    DiffuseAlbedoDeviation = SVBRDF_GCN_MAP_DIFFUSE_ALBEDO_DEVIATION,
+    SpecularAlbedoDeviation = SVBRDF_GCN_MAP_SPECULAR_ALBEDO_DEVIATION,
+    RoughnessDeviation = SVBRDF_GCN_MAP_ROUGHNESS_DEVIATION,
+    NormalDeviation = SVBRDF_GCN_MAP_NORMAL_DEVIATION,
 };
 
 enum class Stage : std::int32_t {
@@ -435,6 +439,10 @@ public:
     MapView roughness() const { return map(Map::Roughness); }
     MapView normal() const { return map(Map::Normal); }
     MapView tangent() const { return map(Map::Tangent); }
+    MapView diffuse_albedo_deviation() const { return map(Map::DiffuseAlbedoDeviation); }
+    MapView specular_albedo_deviation() const { return map(Map::SpecularAlbedoDeviation); }
+    MapView roughness_deviation() const { return map(Map::RoughnessDeviation); }
+    MapView normal_deviation() const { return map(Map::NormalDeviation); }
 
     double patch_size() const noexcept { return svbrdf_gcn_material_patch_size(handle_.get()); }
 

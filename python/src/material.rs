@@ -8,12 +8,13 @@ use pyo3::types::PyBytes;
 use serde_json::Value;
 use svbrdf_gcn::export::principled::Principled;
 use svbrdf_gcn::fit::Fit;
+use svbrdf_gcn::image::Image;
 use svbrdf_gcn::io::material::{
-    LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_report,
+    LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_deviations, read_report,
 };
 use svbrdf_gcn::io::preview::material_png;
 use svbrdf_gcn::metrics::MapErrors;
-use svbrdf_gcn::{Capture, ExportOptions, ExportTarget, Material, NormalConvention, Shot, metrics, render};
+use svbrdf_gcn::{Capture, Deviations, ExportOptions, ExportTarget, Material, NormalConvention, Shot, metrics, render};
 
 use crate::arrays::{ImageArray, image, intensities, triple};
 use crate::capture;
@@ -57,14 +58,24 @@ use crate::types::{ArrayLike, Json, json_error};
 #[pyclass(frozen, name = "Material", module = "svbrdf_gcn")]
 pub struct PyMaterial {
     material: Arc<Material>,
+    deviations: Option<Arc<Deviations>>,
     report: Value,
     unit: Option<String>,
 }
 
 impl PyMaterial {
+    fn deviation<'py>(
+        &self,
+        py: Python<'py>,
+        image: fn(&Deviations) -> &Image,
+    ) -> PyResult<Option<ImageArray<'py>>> {
+        self.deviations.as_ref().map(|deviations| ImageArray::view(py, deviations, image)).transpose()
+    }
+
     pub fn fitted(fit: Fit, capture: &Capture) -> PyResult<Self> {
         let report = serde_json::to_value(&fit.report).map_err(json_error)?;
-        Ok(Self { material: Arc::new(fit.material), report, unit: capture.unit().map(ToOwned::to_owned) })
+        let unit = capture.unit().map(ToOwned::to_owned);
+        Ok(Self { material: Arc::new(fit.material), deviations: fit.deviations.map(Arc::new), report, unit })
     }
 }
 
@@ -91,7 +102,7 @@ impl PyMaterial {
         };
         // What cannot be computed with is refused here, what is out of range limited.
         let material = detached(py, || Material::from_maps(&material.to_maps()?, patch_size))?;
-        Ok(Self { material: Arc::new(material), report: Value::Null, unit: None })
+        Ok(Self { material: Arc::new(material), deviations: None, report: Value::Null, unit: None })
     }
 
     /// Read a material: a folder with a ``material.json``, or maps of another program.
@@ -132,8 +143,11 @@ impl PyMaterial {
             .transpose()?;
         detached(py, || {
             let material = Arc::new(Material::load_with(&path, &options)?);
-            let report = if path.join(MATERIAL_JSON).exists() { read_report(&path)? } else { None };
-            Ok(Self { material, report: report.unwrap_or_default(), unit: None })
+            let described = path.join(MATERIAL_JSON).exists();
+            let (report, deviations) =
+                if described { (read_report(&path)?, read_deviations(&path)?) } else { (None, None) };
+            let deviations = deviations.map(Arc::new);
+            Ok(Self { material, deviations, report: report.unwrap_or_default(), unit: None })
         })
     }
 
@@ -168,6 +182,7 @@ impl PyMaterial {
         let mut options = SaveOptions::new(choice("format", format, &formats, format_name)?);
         options.color_space = capture::color_space(color_space)?;
         options.unit.clone_from(&self.unit);
+        options.deviations = self.deviations.as_deref().cloned();
         options.report = (!self.report.is_null()).then(|| self.report.clone());
         detached(py, || self.material.save(folder, &options))
     }
@@ -324,6 +339,32 @@ impl PyMaterial {
     #[getter]
     fn tangent<'py>(&self, py: Python<'py>) -> PyResult<Option<ImageArray<'py>>> {
         ImageArray::view_of_some(py, &self.material, |material| material.tangent.as_ref())
+    }
+
+    /// Standard deviation of the diffuse albedo (linear, root mean square over colours), a read-only array of shape (H, W, 1); None if not known.
+    ///
+    /// How often the truth lies within one such deviation is measured in ``docs/accuracy.md``.
+    #[getter]
+    fn diffuse_albedo_deviation<'py>(&self, py: Python<'py>) -> PyResult<Option<ImageArray<'py>>> {
+        self.deviation(py, |deviations| &deviations.diffuse_albedo)
+    }
+
+    /// Standard deviation of the specular albedo (linear, root mean square over colours), a read-only array of shape (H, W, 1); None if not known.
+    #[getter]
+    fn specular_albedo_deviation<'py>(&self, py: Python<'py>) -> PyResult<Option<ImageArray<'py>>> {
+        self.deviation(py, |deviations| &deviations.specular_albedo)
+    }
+
+    /// Standard deviation of the roughness, a read-only array of shape (H, W, 1); None if not known.
+    #[getter]
+    fn roughness_deviation<'py>(&self, py: Python<'py>) -> PyResult<Option<ImageArray<'py>>> {
+        self.deviation(py, |deviations| &deviations.roughness)
+    }
+
+    /// Standard deviation of the normal, about an angle in radians: a read-only array of shape (H, W, 1); None if not known.
+    #[getter]
+    fn normal_deviation<'py>(&self, py: Python<'py>) -> PyResult<Option<ImageArray<'py>>> {
+        self.deviation(py, |deviations| &deviations.normal)
     }
 
     /// Width of the maps in the unit of the capture.

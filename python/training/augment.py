@@ -65,10 +65,10 @@ def respecular(maps, dice):
     strength = torch.where(dice.chance(0.5), dice.uniform(0.6, 1.4), torch.exp(dice.normal(0.6)))
     tint = torch.where(dice.chance(0.3), dice.uniform(0.6, 1.0, 3), dice.uniform(1, 1, 3))
     scaled = (specular * strength * tint).clamp(0.01, 1)
-    # Coats of any strength over the diffuse albedo: photographed surfaces read as 0.02 to 0.5, libraries of dielectrics hold 0.04 alone.
+    # Coats of other strengths over the diffuse albedo: libraries of dielectrics hold 0.04 alone.
     dielectric = 1 - ((specular.mean(1, keepdim=True) - 0.05) / 0.15).clamp(0, 1)
-    coat = torch.exp(dice.uniform(math.log(0.02), math.log(0.5))) * tint
-    scaled = scaled + dielectric * dice.chance(0.45) * (coat - scaled)
+    coat = torch.exp(dice.uniform(math.log(0.02), math.log(0.3))) * tint
+    scaled = scaled + dielectric * dice.chance(0.25) * (coat - scaled)
     # The pattern of the diffuse albedo carried over into a metal's reflectance.
     metal = (diffuse / diffuse.amax((1, 2, 3), keepdim=True).clamp_min(0.02) * dice.uniform(0.4, 1.0)).clamp(0.04, 1)
     amount = torch.where(dice.chance(0.08), torch.where(dice.chance(0.7), dice.uniform(1, 1), dice.uniform(0, 1)), dice.uniform(0, 0))

@@ -219,6 +219,7 @@ int main(int argc, char **argv) try {
     CHECK(Model::embedded().license() == "CC0-1.0");
     CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "transfer", [] { Capture(1.0, {}); }));
     CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "map_kind", [&] { material.tangent(); }));
+    CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "deviations", [&] { material.normal_deviation(); }));
     CHECK(throws(SVBRDF_GCN_ERR_IO, "/dev/null", [&] { material.export_to("/dev/null/x", ExportTarget::Unreal, "x", Normals::OpenGl); }));
     CHECK(throws(SVBRDF_GCN_ERR_IO, "/dev/null", [&] { material.save("/dev/null/x", Format::Tiff, ColorSpace::AcesCg); }));
     CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "photo 7", [&] { capture.photo(7); }));
@@ -228,7 +229,10 @@ int main(int argc, char **argv) try {
     Options network = options;
     network.method = Method::Network;
     network.direct_steps = 2;
-    CHECK(fit_material(capture, network).report_json().find("\"stage\":\"finish\"") != std::string::npos);
+    const auto finished = fit_material(capture, network);
+    CHECK(finished.report_json().find("\"stage\":\"finish\"") != std::string::npos);
+    const auto deviation = finished.normal_deviation();
+    CHECK(deviation.channels == 1 && deviation.width == finished.normal().width && deviation.at(0, 0, 0) > 0);
     network.weights = "no/such/weights";
     CHECK(throws(SVBRDF_GCN_ERR_IO, "no/such/weights", [&] { fit_material(capture, network); }));
 

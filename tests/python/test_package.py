@@ -257,6 +257,19 @@ def test_maps_are_in_range_and_fit_the_photos(tiles, fitted):
     assert np.mean(errors) < 0.6 * np.mean([metrics.photo_rmse(mean, photo) for photo in tiles.photos])
 
 
+def test_deviations_go_with_the_material(tiles, tmp_path):
+    network = fit_material(tiles, method="network", direct_steps=2, finish_steps=2)
+    names = [f"{name}_deviation" for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal")]
+    assert all(getattr(network, name).shape == (*network.normal.shape[:2], 1) for name in names)
+    assert all(0 < getattr(network, name).min() for name in names)
+    network.save(tmp_path, format="tiff")
+    loaded = Material.load(tmp_path)
+    for name in names:
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(network, name))
+    without = fit_material(tiles, **QUICK | {"method": "direct"})
+    assert all(getattr(without, name) is None for name in names)
+
+
 def test_maps_are_views_that_keep_the_material_alive(tiles):
     material = fit_material(tiles, **QUICK)
     view, copy = material.normal, material.normal.copy()

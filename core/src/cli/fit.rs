@@ -141,9 +141,9 @@ pub fn run(args: &FitArgs) -> Result<()> {
         ControlFlow::Continue(())
     });
     bar.finish();
-    let Fit { material, report } = fit?;
+    let Fit { material, deviations, report } = fit?;
     let report_json = serde_json::to_value(&report).map_err(|error| Error::invalid("report", error.to_string()))?;
-    let mut save_options = args.save_options().report(report_json.clone());
+    let mut save_options = args.save_options().report(report_json.clone()).deviations(deviations);
     if let Some(unit) = capture.unit() {
         save_options = save_options.unit(unit);
     }

@@ -5,6 +5,7 @@ pub mod adam;
 pub mod adapters;
 mod cluster;
 pub mod descent;
+mod deviations;
 mod direct;
 mod finish;
 pub mod latent;
@@ -25,10 +26,11 @@ use crate::material::Material;
 use crate::metrics::photo_rmse;
 use crate::nn::{Model, Network, PhotoGraph};
 use crate::render::{Target, render};
+pub use deviations::Deviations;
 use direct::fit_direct;
 use network::fit_network;
 use options::{FitOptions, Method};
-use predicted::fit_predicted;
+use predicted::{Predicted, fit_predicted};
 use progress::{CancelToken, Control, Progress, ProgressFn};
 use report::FitReport;
 
@@ -37,6 +39,8 @@ use report::FitReport;
 pub struct Fit {
     /// The maps.
     pub material: Material,
+    /// How sure the fit is of them; `None` where no finish ran.
+    pub deviations: Option<Deviations>,
     /// Stages, losses, timings, warnings.
     pub report: FitReport,
 }
@@ -74,11 +78,12 @@ pub fn fit_material(
     memory::check(memory::estimate(capture, way), options.max_memory)?;
     on_pool(&pool, options.cancel.clone(), progress, |control| {
         let mut stages = Vec::new();
-        let (maps, belief) = match way {
+        let alone = |maps| Predicted { maps, deviations: None, belief: None };
+        let Predicted { maps, deviations, belief } = match way {
             Way::Paper(network) => {
-                (fit_network(capture, &targets(capture)?, network, options, &mut stages, control)?, None)
+                alone(fit_network(capture, &targets(capture)?, network, options, &mut stages, control)?)
             }
-            Way::Direct => (fit_direct(capture, &targets(capture)?, options, &mut stages, control)?, None),
+            Way::Direct => alone(fit_direct(capture, &targets(capture)?, options, &mut stages, control)?),
             Way::Graph(graph) => fit_predicted(capture, graph, options, &mut stages, control)?,
         };
         let material = Material::from_maps(&maps, capture.patch_size())?;
@@ -105,7 +110,7 @@ pub fn fit_material(
             seconds: started.elapsed().as_secs_f64(),
             warnings,
         };
-        Ok(Fit { material, report })
+        Ok(Fit { material, deviations, report })
     })
 }
 

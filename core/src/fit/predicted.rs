@@ -7,12 +7,14 @@ use crate::capture::Capture;
 use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::direct::fit_direct;
-use crate::fit::finish::{Belief, Start, finish};
+use crate::fit::deviations::Deviations;
+use crate::fit::finish::{Belief, Finished, Start, finish};
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
 use crate::fit::targets;
-use crate::maps::{Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
+use crate::image::Image;
+use crate::maps::{DIFFUSE_PLANE, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::metrics::photo_rmse;
 use crate::nn::PhotoGraph;
 use crate::render::render_maps;
@@ -20,7 +22,14 @@ use crate::render::render_maps;
 /// Half a raw albedo or roughness is the unit of the network's certainty, except for the two planes of the normal.
 const UNITS: [f32; 9] = [2.0, 2.0, 2.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0];
 
-/// Predicts isotropic maps from all photos of `capture` and finishes them; with what the finish came to believe, where it ran.
+/// Isotropic maps, and what the finish found where it ran.
+pub(crate) struct Predicted {
+    pub maps: Maps<f32>,
+    pub deviations: Option<Deviations>,
+    pub belief: Option<Belief>,
+}
+
+/// Predicts isotropic maps from all photos of `capture` and finishes them.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the network's values are not finite.
@@ -30,7 +39,7 @@ pub(crate) fn fit_predicted(
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
-) -> Result<(Maps<f32>, Option<Belief>)> {
+) -> Result<Predicted> {
     let begun = Instant::now();
     control.report(Stage::Encode, 0, 1, None)?;
     let mut prediction = graph.predict(capture, control)?;
@@ -53,7 +62,7 @@ pub(crate) fn fit_predicted(
     }
     let steps = options.finish_steps.unwrap_or(options.preset.finish_steps());
     if steps == 0 {
-        return Ok((maps, None));
+        return Ok(Predicted { maps, deviations: None, belief: None });
     }
     let pixels = capture.width() * capture.height();
     let planes = prediction.log_sigma.chunks_exact_mut(pixels);
@@ -62,9 +71,30 @@ pub(crate) fn fit_predicted(
     let mut shared = prediction.raw.clone();
     encode(&maps, floor, &mut shared);
     let start = Start { raw: &shared, network: &prediction.raw, deviation: &prediction.log_sigma };
-    let (raw, belief) = finish(capture, start, f64::from(floor), steps, stages, control)?;
+    let Finished { raw, deviation, belief } = finish(capture, start, f64::from(floor), steps, stages, control)?;
     graph.decoding()?.decode(&raw, &mut maps)?;
-    Ok((maps, Some(belief)))
+    Ok(Predicted { deviations: Some(deviations(&maps, &deviation)?), maps, belief: Some(belief) })
+}
+
+/// Standard deviations of `maps` from those of nine planes of raw values.
+fn deviations(maps: &Maps<f32>, raw: &[f32]) -> Result<Deviations> {
+    let (width, height) = (maps.width(), maps.height());
+    let pixels = width * height;
+    // A raw value is twice a gamma 2.2 code, less 1.
+    let linear = |value: f32, raw: f32| 0.5 * 2.2 * Transfer::Gamma22.encode(value).powf(1.2) * raw;
+    let image = |at: &dyn Fn(usize) -> f32| Image::new(width, height, 1, (0..pixels).map(at).collect());
+    let color = |first: usize, first_raw: usize| {
+        image(&|p| {
+            let of = |c: usize| linear(maps.plane(first + c)[p], raw[(first_raw + c) * pixels + p]);
+            ((of(0).powi(2) + of(1).powi(2) + of(2).powi(2)) / 3.0).sqrt()
+        })
+    };
+    Ok(Deviations {
+        diffuse_albedo: color(DIFFUSE_PLANE, 0)?,
+        specular_albedo: color(maps.lobe().specular_plane(), 6)?,
+        roughness: image(&|p| linear(maps.plane(ROUGHNESS_PLANE)[p], raw[5 * pixels + p]))?,
+        normal: image(&|p| raw[3 * pixels + p].hypot(raw[4 * pixels + p]))?,
+    })
 }
 
 /// The raw planes of isotropic maps: the inverse of [`Decoding`](crate::nn::Decoding).
@@ -97,7 +127,7 @@ fn loss(capture: &Capture, maps: &Maps<f32>) -> Result<f64> {
     let mut sum = 0.0;
     for photo in capture.photos() {
         let planes = render_maps(maps, capture.patch_size(), &photo.shot)?;
-        let image = crate::image::Image::from_planar(width, height, 3, &planes)?;
+        let image = Image::from_planar(width, height, 3, &planes)?;
         sum += photo_rmse(&image, &photo.image)?.powi(2);
     }
     Ok(1000.0 * sum / capture.len() as f64)

@@ -11,6 +11,7 @@ use super::resize::{fit_size, shrink};
 use super::save::write_files;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
+use crate::fit::Deviations;
 use crate::image::Image;
 use crate::maps::Lobe;
 use crate::material::Material;
@@ -41,13 +42,21 @@ pub enum MaterialFormat {
 impl MaterialFormat {
     const ALL: [Self; 3] = [Self::Exr, Self::Png16, Self::Tiff];
 
-    fn file_name(self, map: Map) -> String {
-        let extension = match self {
+    fn extension(self) -> &'static str {
+        match self {
             Self::Exr => "exr",
             Self::Png16 => "png",
             Self::Tiff => "tif",
-        };
-        format!("{}.{extension}", map.name())
+        }
+    }
+
+    fn file_name(self, map: Map) -> String {
+        format!("{}.{}", map.name(), self.extension())
+    }
+
+    /// The file of a map's standard deviation.
+    fn deviation_name(self, map: Map) -> String {
+        format!("{}_deviation.{}", map.name(), self.extension())
     }
 
     /// The transfer function of the file of a map.
@@ -72,6 +81,8 @@ pub struct SaveOptions {
     pub report: Option<serde_json::Value>,
     /// The colour space of the albedos written.
     pub color_space: ColorSpace,
+    /// How sure the maps are, written beside them.
+    pub deviations: Option<Deviations>,
 }
 
 impl SaveOptions {
@@ -89,6 +100,12 @@ impl SaveOptions {
     /// Adds a report to `material.json`.
     pub fn report(mut self, report: serde_json::Value) -> Self {
         self.report = Some(report);
+        self
+    }
+
+    /// Writes how sure the maps are beside them.
+    pub fn deviations(mut self, deviations: Option<Deviations>) -> Self {
+        self.deviations = deviations;
         self
     }
 
@@ -243,10 +260,19 @@ struct MaterialFile {
     unit: Option<String>,
     lobe: Lobe,
     maps: MapFiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    deviations: Option<DeviationFiles>,
     #[serde(skip_deserializing)]
     conventions: Conventions,
     #[serde(skip_serializing_if = "Option::is_none")]
     report: Option<serde_json::Value>,
+}
+
+impl MaterialFile {
+    /// The files of maps and deviations.
+    fn files(&self) -> impl Iterator<Item = &String> {
+        self.maps.files().map(|map| &map.file).chain(self.deviations.iter().flat_map(DeviationFiles::files))
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -262,6 +288,21 @@ struct MapFiles {
 impl MapFiles {
     fn files(&self) -> impl Iterator<Item = &MapFile> {
         [&self.diffuse, &self.specular, &self.roughness, &self.normal].into_iter().chain(&self.tangent)
+    }
+}
+
+/// The files of standard deviations.
+#[derive(Serialize, Deserialize)]
+struct DeviationFiles {
+    diffuse: String,
+    specular: String,
+    roughness: String,
+    normal: String,
+}
+
+impl DeviationFiles {
+    fn files(&self) -> impl Iterator<Item = &String> {
+        [&self.diffuse, &self.specular, &self.roughness, &self.normal].into_iter()
     }
 }
 
@@ -285,11 +326,13 @@ struct Conventions {
     normal: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     tangent: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    deviations: Option<&'static str>,
     shading: &'static str,
 }
 
 impl Conventions {
-    fn new(lobe: Lobe) -> Self {
+    fn new(lobe: Lobe, deviations: bool) -> Self {
         let anisotropic = lobe == Lobe::Anisotropic;
         Self {
             frame: "x right, y up (row 0 is at +y), z out of the surface; patch_size is the width of the maps, the height follows from their aspect",
@@ -302,6 +345,9 @@ impl Conventions {
             },
             normal: "unit vector, +x right, +y up, stored as (n + 1) / 2",
             tangent: anisotropic.then_some("unit vector orthogonal to the normal, stored as (t + 1) / 2"),
+            deviations: deviations.then_some(
+                "standard deviations of the linear values; of albedos the root mean square over colours, of the normal about an angle in radians",
+            ),
             shading: "d (1 - s) / pi + D F G / (4 (n.v)(n.l)): GGX, separable Smith-Schlick masking with k = alpha / 2, spherical Gaussian Fresnel",
         }
     }
@@ -336,6 +382,13 @@ impl Material {
         let material = Self::from_maps(&maps, self.patch_size)?;
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
         let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
+        let encode = |path: &Path, image: &Image, transfer| match options.format {
+            MaterialFormat::Exr => {
+                exr::encode(path, image.width(), image.height(), &named_channels(image), Precision::Half)
+            }
+            MaterialFormat::Png16 => png16(path, image, transfer),
+            MaterialFormat::Tiff => tiff_float(path, image),
+        };
         let mut write = |map: Map, image: &Image| {
             let mut converted = image.clone();
             if map.is_color() {
@@ -348,13 +401,7 @@ impl Material {
                 color_space: map.is_color().then_some(options.color_space),
             };
             let path = folder.join(&entry.file);
-            let bytes = match options.format {
-                MaterialFormat::Exr => {
-                    exr::encode(&path, image.width(), image.height(), &named_channels(image), Precision::Half)?
-                }
-                MaterialFormat::Png16 => png16(&path, image, entry.transfer)?,
-                MaterialFormat::Tiff => tiff_float(&path, image)?,
-            };
+            let bytes = encode(&path, image, entry.transfer)?;
             files.push((path, bytes));
             Ok(entry)
         };
@@ -368,6 +415,28 @@ impl Material {
                 None => None,
             },
         };
+        let mut write_deviation = |map: Map, image: &Image| {
+            let name = options.format.deviation_name(map);
+            let (size, expected) = (
+                [image.height(), image.width(), image.channels()],
+                [maps.height(), maps.width(), 1],
+            );
+            if size != expected {
+                return Err(Error::shape(name, format!("shape {expected:?}"), format!("{size:?}")));
+            }
+            let path = folder.join(&name);
+            files.push((path.clone(), encode(&path, image, Transfer::Linear)?));
+            Ok(name)
+        };
+        let deviations = match &options.deviations {
+            Some(deviations) => Some(DeviationFiles {
+                diffuse: write_deviation(Map::Diffuse, &deviations.diffuse_albedo)?,
+                specular: write_deviation(Map::Specular, &deviations.specular_albedo)?,
+                roughness: write_deviation(Map::Roughness, &deviations.roughness)?,
+                normal: write_deviation(Map::Normal, &deviations.normal)?,
+            }),
+            None => None,
+        };
         let description = MaterialFile {
             format: FORMAT.to_owned(),
             version: VERSION,
@@ -378,17 +447,18 @@ impl Material {
             unit: options.unit.clone(),
             lobe: maps.lobe(),
             maps: maps_written,
-            conventions: Conventions::new(maps.lobe()),
+            conventions: Conventions::new(maps.lobe(), deviations.is_some()),
+            deviations,
             report: options.report.clone(),
         };
         let path = folder.join(MATERIAL_JSON);
-        let replaced = if path.exists() { read_description(&path).ok().map(|old| old.maps) } else { None };
+        let replaced = if path.exists() { read_description(&path).ok() } else { None };
         let mut text = serde_json::to_vec_pretty(&description).map_err(|e| Error::io(&path, e))?;
         text.push(b'\n');
         files.push((path, text));
         write_files(&files)?;
         if let Some(replaced) = replaced {
-            remove_replaced(folder, &replaced, &description.maps);
+            remove_replaced(folder, &replaced, &description);
         }
         Ok(())
     }
@@ -465,13 +535,45 @@ pub fn read_report(folder: impl AsRef<Path>) -> Result<Option<serde_json::Value>
     Ok(read_description(&folder.as_ref().join(MATERIAL_JSON))?.report)
 }
 
+/// How sure the maps of a material folder are, where it says so.
+///
+/// # Errors
+/// As [`Material::load`].
+pub fn read_deviations(folder: impl AsRef<Path>) -> Result<Option<Deviations>> {
+    let folder = folder.as_ref();
+    let description = read_description(&folder.join(MATERIAL_JSON))?;
+    let Some(files) = &description.deviations else { return Ok(None) };
+    let mut first = None;
+    let mut read = |name: &str| {
+        let path = folder.join(name);
+        let image = read_stored(&path)?.to_image(Transfer::Linear)?;
+        let size = [image.height(), image.width(), image.channels()];
+        let expected = *first.get_or_insert([size[0], size[1], 1]);
+        if size != expected {
+            return Err(Error::shape(path.display().to_string(), format!("shape {expected:?}"), format!("{size:?}")));
+        }
+        match image.data().iter().find(|value| !(value.is_finite() && **value >= 0.0)) {
+            Some(value) => Err(Error::invalid(path.display().to_string(), format!("expected values from 0, got {value}"))),
+            None => Ok(image),
+        }
+    };
+    Ok(Some(Deviations {
+        diffuse_albedo: read(&files.diffuse)?,
+        specular_albedo: read(&files.specular)?,
+        roughness: read(&files.roughness)?,
+        normal: read(&files.normal)?,
+    }))
+}
+
 /// Removes the map files of `old` that are none of `new`, as far as they bear names that [`Material::save`] gives. The material is
 /// in place by then: a file that cannot be removed is only logged.
-fn remove_replaced(folder: &Path, old: &MapFiles, new: &MapFiles) {
-    let ours =
-        |file: &str| MaterialFormat::ALL.iter().any(|format| Map::ALL.iter().any(|&map| file == format.file_name(map)));
-    for MapFile { file, .. } in old.files() {
-        if !ours(file) || new.files().any(|entry| entry.file == *file) {
+fn remove_replaced(folder: &Path, old: &MaterialFile, new: &MaterialFile) {
+    let named = |file: &str, format: MaterialFormat, map: Map| {
+        file == format.file_name(map) || file == format.deviation_name(map)
+    };
+    let ours = |file: &str| MaterialFormat::ALL.iter().any(|&format| Map::ALL.iter().any(|&map| named(file, format, map)));
+    for file in old.files() {
+        if !ours(file) || new.files().any(|kept| kept == file) {
             continue;
         }
         if let Err(error) = std::fs::remove_file(folder.join(file)) {

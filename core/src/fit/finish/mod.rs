@@ -45,6 +45,17 @@ pub(crate) struct Start<'a> {
     pub deviation: &'a [f32],
 }
 
+/// What a finish gives.
+#[derive(Clone, Debug)]
+pub(crate) struct Finished {
+    /// Nine planes of raw values.
+    pub raw: Vec<f32>,
+    /// Their standard deviations, given photos and prior.
+    pub deviation: Vec<f32>,
+    /// What the photos were found to say about photos and prior.
+    pub belief: Belief,
+}
+
 /// What the photos were found to say about photos and prior.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Belief {
@@ -72,6 +83,7 @@ struct Problem<'a> {
 /// A finished row of pixels, and its cost before and after.
 struct Row {
     raw: Vec<[f32; RAW]>,
+    deviation: Vec<[f32; RAW]>,
     first_cost: f64,
     last_cost: f64,
 }
@@ -227,7 +239,7 @@ impl<'a> Problem<'a> {
         system
     }
 
-    /// Moves `raw` by up to `steps` Levenberg-Marquardt steps; returns the cost where it begins and where it ends.
+    /// Moves `raw` by up to `steps` Levenberg-Marquardt steps; returns the cost where it begins and the system where it ends.
     fn fit(
         &self,
         pixel: usize,
@@ -236,7 +248,7 @@ impl<'a> Problem<'a> {
         prior: &Prior,
         trust: Trust,
         steps: usize,
-    ) -> (f64, f64) {
+    ) -> (f64, System) {
         let mut system = self.system(pixel, sights, raw, prior, trust);
         let first = system.cost;
         let mut damping = 1e-2;
@@ -273,20 +285,24 @@ impl<'a> Problem<'a> {
                 }
             }
         }
-        (first, system.cost)
+        (first, system)
     }
 
     /// Fits a row of pixels.
     fn finish_row(&self, row: usize, trust: Trust, steps: usize) -> Row {
         let width = self.capture.width();
-        let mut out = Row { raw: Vec::with_capacity(width), first_cost: 0.0, last_cost: 0.0 };
+        let empty = || Vec::with_capacity(width);
+        let mut out = Row { raw: empty(), deviation: empty(), first_cost: 0.0, last_cost: 0.0 };
         for pixel in row * width..(row + 1) * width {
             let (sights, prior) = (self.sights(pixel), self.prior(pixel, trust));
             let mut raw = prior.mean;
             let (first, last) = self.fit(pixel, &sights, &mut raw, &prior, trust, steps);
             out.first_cost += first;
-            out.last_cost += last;
+            out.last_cost += last.cost;
             out.raw.push(raw.map(|value| value as f32));
+            // Around its minimum the cost is that of a Gaussian with this inverse covariance; a matrix that has none says no more than the prior.
+            let variances = Cholesky::new(&last.matrix).map(|cholesky| cholesky.inverse_diagonal());
+            out.deviation.push(variances.unwrap_or(prior.weight.map(f64::recip)).map(|variance| variance.sqrt() as f32));
         }
         out
     }
@@ -370,7 +386,7 @@ fn places(c: usize) -> [usize; 5] {
     [c, NORMAL, NORMAL + 1, ROUGHNESS, SPECULAR + c]
 }
 
-/// Fits every pixel of `capture` to the photos with `start` as the prior, by up to `steps` Levenberg-Marquardt steps: nine planes of raw values.
+/// Fits every pixel of `capture` to the photos with `start` as the prior, by up to `steps` Levenberg-Marquardt steps.
 ///
 /// # Errors
 /// [`Error::ShapeMismatch`] if the planes are not of the capture's size; [`Error::Cancelled`].
@@ -381,7 +397,7 @@ pub(crate) fn finish(
     steps: usize,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
-) -> Result<(Vec<f32>, Belief)> {
+) -> Result<Finished> {
     let begun = Instant::now();
     let (width, height) = (capture.width(), capture.height());
     let pixels = width * height;
@@ -407,12 +423,15 @@ pub(crate) fn finish(
         rows.par_extend(part.into_par_iter().map(|row| problem.finish_row(row, trust, steps)));
         control.poll()?;
     }
-    let mut planes = vec![0.0; RAW * pixels];
-    planes.par_chunks_mut(pixels).enumerate().for_each(|(i, plane)| {
-        for (out, row) in plane.chunks_exact_mut(width).zip(&rows) {
-            out.iter_mut().zip(&row.raw).for_each(|(out, raw)| *out = raw[i]);
-        }
-    });
+    let planes = |part: fn(&Row) -> &[[f32; RAW]]| {
+        let mut planes = vec![0.0; RAW * pixels];
+        planes.par_chunks_mut(pixels).enumerate().for_each(|(i, plane)| {
+            for (out, row) in plane.chunks_exact_mut(width).zip(&rows) {
+                out.iter_mut().zip(part(row)).for_each(|(out, values)| *out = values[i]);
+            }
+        });
+        planes
+    };
     // In the unit of the other stages: 1000 times a mean of squares.
     let unit = 1000.0 * trust.photo * trust.photo / (3 * pixels * capture.len()) as f64;
     stages.push(StageReport {
@@ -425,14 +444,15 @@ pub(crate) fn finish(
         seconds: begun.elapsed().as_secs_f64(),
     });
     control.report(Stage::Finish, 2, 2, None)?;
-    Ok((planes, Belief { photo_deviation: trust.photo, shares: [trust.normal, trust.specular] }))
+    let belief = Belief { photo_deviation: trust.photo, shares: [trust.normal, trust.specular] };
+    Ok(Finished { raw: planes(|row| &row.raw), deviation: planes(|row| &row.deviation), belief })
 }
 
 #[cfg(test)]
 mod tests {
     use std::ops::ControlFlow;
 
-    use super::{Belief, RAW, Start, finish};
+    use super::{Finished, RAW, Start, finish};
     use crate::capture::{Capture, Photo, Shot};
     use crate::color::Transfer;
     use crate::error::Error;
@@ -484,7 +504,7 @@ mod tests {
         Capture::new(photos.collect(), 2.0, Transfer::Linear).unwrap()
     }
 
-    fn run(capture: &Capture, raw: &[f32], deviation: f32) -> (Vec<f32>, Belief) {
+    fn run(capture: &Capture, raw: &[f32], deviation: f32) -> Finished {
         let mut callback = |_: &Progress| ControlFlow::Continue(());
         let mut control = Control::new(&mut callback, CancelToken::new());
         let mut stages = Vec::new();
@@ -516,12 +536,14 @@ mod tests {
     fn photos_correct_a_wrong_prediction() {
         let truth = truth();
         let start = disturbed(&truth, 0.2);
-        let (raw, belief) = run(&capture(&truth, 8), &start, 0.12);
+        let Finished { raw, deviation, belief } = run(&capture(&truth, 8), &start, 0.12);
         assert!(belief.photo_deviation <= 0.0125, "{belief:?}");
         for planes in [0..3, 3..5, 5..6, 6..9] {
             let (before, after) = (rms(&start, &truth, planes.clone()), rms(&raw, &truth, planes.clone()));
             assert!(after < 0.5 * before, "{planes:?}: {before} {after}");
         }
+        // The photos made every value surer than the prior was.
+        assert!(deviation.iter().all(|&value| value > 0.0 && value < 0.12 * 1.001));
     }
 
     #[test]
@@ -531,8 +553,13 @@ mod tests {
         dark.shot.light_intensity = [1e-9; 3];
         dark.image = Image::new(WIDTH, HEIGHT, 3, vec![0.0; 3 * PIXELS]).unwrap();
         let black = Capture::new(vec![dark], 2.0, Transfer::Linear).unwrap();
-        let (raw, _) = run(&black, &truth, 0.1);
+        let Finished { raw, deviation, .. } = run(&black, &truth, 0.1);
         assert!(rms(&raw, &truth, 0..RAW) < 1e-6);
+        // What a single photo gets of the network's deviation: all in the diffuse albedo, 0.3 in the others.
+        for (i, plane) in deviation.chunks_exact(PIXELS).enumerate() {
+            let expected = if i < 3 { 0.1 } else { 0.03 };
+            assert!(plane.iter().all(|value| (value - expected).abs() < 1e-4), "{i} {}", plane[0]);
+        }
     }
 
     #[test]

@@ -52,6 +52,15 @@ impl<const N: usize> Cholesky<N> {
         }
         x
     }
+
+    /// The diagonal of the inverse.
+    pub fn inverse_diagonal(&self) -> [f64; N] {
+        std::array::from_fn(|i| {
+            let mut unit = [0.0; N];
+            unit[i] = 1.0;
+            self.forward(unit).iter().map(|value| value * value).sum()
+        })
+    }
 }
 
 #[cfg(test)]
@@ -70,6 +79,16 @@ mod tests {
         let solved = Cholesky::new(&MATRIX).unwrap().solve(times(x));
         for i in 0..3 {
             assert!((solved[i] - x[i]).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn inverses() {
+        let cholesky = Cholesky::new(&MATRIX).unwrap();
+        for (i, diagonal) in cholesky.inverse_diagonal().into_iter().enumerate() {
+            let mut unit = [0.0; 3];
+            unit[i] = 1.0;
+            assert!((cholesky.solve(unit)[i] - diagonal).abs() < 1e-14);
         }
     }
 
