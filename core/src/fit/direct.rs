@@ -20,6 +20,7 @@ use crate::fit::descent::{Settings, descend};
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
+use crate::fit::search::{self, Found, Prior, search};
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::render::{Target, photo_loss};
 
@@ -125,6 +126,9 @@ struct Problem<'a> {
     memberships: Vec<Membership>,
     /// Logits of the diffuse albedo at the start, three planes.
     diffuse: Vec<f32>,
+    /// What the groups start from, and the tilt.
+    found: Vec<Found>,
+    tilt: [f64; 2],
 }
 
 impl<'a> Problem<'a> {
@@ -134,15 +138,46 @@ impl<'a> Problem<'a> {
         let albedo = diffuse_start(capture);
         let encoded: Vec<f32> = albedo.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
         let (memberships, groups) = soft_groups(&encoded, pixels, GROUPS, seed);
-        let diffuse = albedo.iter().map(|&value| logit(0.9 * value + 0.005)).collect();
         let layout = Layout { pixels, groups };
-        Ok(Self { targets, patch_size: capture.patch_size(), width, height, layout, memberships, diffuse })
+        let square = |x: f64| x * x;
+        let unit = PHOTO_DEVIATION * PHOTO_DEVIATION;
+        let group = unit * GROUP_EVIDENCE / GROUP_DEVIATION.powi(2);
+        let off = |value: f64, start: f32| logit(value as f32) - start;
+        let prior = Prior {
+            specular: &|s| group * square(off(s, SPECULAR_LOGIT).into()),
+            roughness: &|r| group * square(off(r, ROUGHNESS_LOGIT).into()),
+            tilt: &|[x, y]| unit * (x * x + y * y) / (TILT_DEVIATION * TILT_DEVIATION) / pixels as f64,
+        };
+        let (found, tilt) = search(capture, &memberships, groups, &prior);
+        tracing::debug!("start: {found:?}, tilt {tilt:?}");
+        let diffuse: Vec<[f64; 3]> = (0..pixels)
+            .into_par_iter()
+            .map(|p| {
+                let [(a, of_a), (b, of_b)] = memberships[p];
+                let (a, b, of_a, of_b) = (&found[a as usize], &found[b as usize], f64::from(of_a), f64::from(of_b));
+                let mixed = |x: f64, y: f64| of_a * x + of_b * y;
+                let specular = [0, 1, 2].map(|c| mixed(a.specular[c], b.specular[c]));
+                search::diffuse(capture, p, specular, mixed(a.roughness, b.roughness), tilt)
+            })
+            .collect();
+        let diffuse = (0..3).flat_map(|c| diffuse.iter().map(move |d| logit(0.9 * d[c] as f32 + 0.005))).collect();
+        Ok(Self { targets, patch_size: capture.patch_size(), width, height, layout, memberships, diffuse, found, tilt })
     }
 
     fn start(&self) -> Vec<f32> {
         let layout = self.layout;
         let mut params = vec![0.0; layout.len()];
         params[..layout.slope()].copy_from_slice(&self.diffuse);
+        for (g, found) in self.found.iter().enumerate() {
+            let offset = |value: f64, start: f32| (logit(value as f32) - start) / GROUP_STEP;
+            for c in 0..3 {
+                params[layout.specular_group() + c * layout.groups + g] = offset(found.specular[c], SPECULAR_LOGIT);
+            }
+            params[layout.roughness_group() + g] = offset(found.roughness, ROUGHNESS_LOGIT);
+        }
+        for c in 0..2 {
+            params[layout.tilt() + c] = self.tilt[c] as f32 / TILT_STEP;
+        }
         params
     }
 

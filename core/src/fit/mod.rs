@@ -15,6 +15,8 @@ pub mod options;
 mod predicted;
 pub mod progress;
 pub mod report;
+mod search;
+mod shading;
 
 use std::ops::ControlFlow;
 use std::sync::mpsc;

@@ -1,12 +1,11 @@
 //! The finish: with maps and the network's certainty as a Gaussian prior, every pixel is fitted to the photos.
 //!
-//! Per pixel nine raw values are found by Levenberg-Marquardt with the exact Jacobian ([`shading`]). How much the photos count against
+//! Per pixel nine raw values are found by Levenberg-Marquardt with the exact Jacobian ([`shading`](super::shading)). How much the photos count against
 //! the prior is chosen by leaving photos out and predicting them.
 //!
 //! Not from the paper.
 #![allow(clippy::needless_range_loop, reason = "indices of raw values are those of vectors and matrices alike")]
 
-mod shading;
 mod solve;
 
 use std::time::Instant;
@@ -18,7 +17,7 @@ use crate::error::{Error, Result};
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
 use crate::render::encode_radiance;
-use shading::{FLAT_LIMIT, NORMAL, RAW, ROUGHNESS, SPECULAR, Sight, Surface};
+use crate::fit::shading::{FLAT_LIMIT, NORMAL, RAW, ROUGHNESS, SPECULAR, Sight, Surface};
 use solve::Cholesky;
 
 /// Candidates for the standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.

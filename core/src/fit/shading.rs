@@ -43,6 +43,14 @@ pub struct Surface {
     d_alpha: f64,
 }
 
+/// See [`Sight::parts`].
+#[derive(Clone, Copy, Debug)]
+pub struct Parts {
+    pub diffuse: [f64; 3],
+    pub specular: [f64; 3],
+    pub fresnel: f64,
+}
+
 /// An encoded colour and the derivatives of each channel by that channel's diffuse value, normal x and y, roughness, specular value.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
@@ -82,6 +90,25 @@ impl Sight {
             half,
             irradiance: shot.light_intensity.map(|intensity| intensity / distance2),
             fresnel: ((-5.55473 * v_dot_h - 6.98316) * v_dot_h).exp2(),
+        }
+    }
+
+    /// What a surface with this unit normal and GGX width sends to the camera, as parts: the radiance that the diffuse albedo `d` and the specular
+    /// albedo `s` give is `diffuse d (1 - s) + specular (s + (1 - s) fresnel)`, per channel. All 0 where it is turned away.
+    pub fn parts(&self, normal: [f64; 3], alpha: f64) -> Parts {
+        let (n_dot_l, n_dot_v) = (dot(normal, self.light).max(0.0), dot(normal, self.view));
+        let facing = if n_dot_v > 0.0 { 1.0 } else { 0.0 };
+        let n_dot_h = dot(normal, self.half);
+        let narrow = (1.0 - alpha) * (1.0 + alpha);
+        let q = (1.0 - n_dot_h * n_dot_h).max(0.0) * narrow + alpha * alpha;
+        let k = 0.5 * alpha;
+        let (a, b) = (n_dot_v * (1.0 - k) + k, n_dot_l * (1.0 - k) + k);
+        let lobe = alpha * alpha / (std::f64::consts::PI * q * q * 4.0 * a * b) * n_dot_l * facing;
+        let matt = n_dot_l * facing / std::f64::consts::PI;
+        Parts {
+            diffuse: self.irradiance.map(|e| e * matt),
+            specular: self.irradiance.map(|e| e * lobe),
+            fresnel: self.fresnel,
         }
     }
 
@@ -211,6 +238,25 @@ mod tests {
                 for c in 0..3 {
                     let expected: f64 = encode_radiance(expected[c]);
                     assert!((seen.code[c] - expected).abs() < 1e-6 * (1.0 + expected), "{raw:?} {shot:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn parts_add_up() {
+        let mut rng = fastrand::Rng::with_seed(8);
+        for _ in 0..50 {
+            let surface = Surface::new(&random(&mut rng));
+            for shot in shots() {
+                let sight = Sight::new(&shot, 0.3, -0.4);
+                let parts = sight.parts(surface.normal, surface.alpha);
+                let code = sight.look(&surface).code;
+                for c in 0..3 {
+                    let (d, s) = (surface.diffuse[c], surface.specular[c]);
+                    let sum = parts.diffuse[c] * d * (1.0 - s) + parts.specular[c] * (s + (1.0 - s) * parts.fresnel);
+                    let expected = code[c].powf(2.2);
+                    assert!((sum - expected).abs() < 1e-6 * (1e-3 + expected), "{sum} {expected}");
                 }
             }
         }
