@@ -85,7 +85,7 @@ pub fn fit_material(
             Way::Paper(network) => {
                 alone(fit_network(capture, &targets(capture)?, network, options, &mut stages, control)?)
             }
-            Way::Direct => alone(fit_direct(capture, &targets(capture)?, options, &mut stages, control)?),
+            Way::Direct => alone(fit_direct(capture, &targets(capture)?, None, options, &mut stages, control)?),
             Way::Graph(graph) => fit_predicted(capture, graph, options, &mut stages, control)?,
         };
         let material = Material::from_maps(&maps, capture.patch_size())?;

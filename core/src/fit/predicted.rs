@@ -22,6 +22,9 @@ use crate::render::render_maps;
 /// Half a raw albedo or roughness is the unit of the network's certainty, except for the two planes of the normal.
 const UNITS: [f32; 9] = [2.0, 2.0, 2.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0];
 
+/// Least z of a normal whose slope is taken as it is.
+const STEEPEST: f32 = 0.2;
+
 /// Isotropic maps, and what the finish found where it ran.
 pub(crate) struct Predicted {
     pub maps: Maps<f32>,
@@ -58,7 +61,7 @@ pub(crate) fn fit_predicted(
     // A single photo's highlight would end up in the diffuse albedo.
     let shared = if capture.len() == 1 { 0 } else { options.preset.direct_steps() };
     if options.direct_steps.unwrap_or(shared) > 0 {
-        maps = fit_direct(capture, &targets(capture)?, options, stages, control)?;
+        maps = fit_direct(capture, &targets(capture)?, Some(&relief(&maps)), options, stages, control)?;
     }
     let steps = options.finish_steps.unwrap_or(options.preset.finish_steps());
     if steps == 0 {
@@ -74,6 +77,19 @@ pub(crate) fn fit_predicted(
     let Finished { raw, deviation, belief } = finish(capture, start, f64::from(floor), steps, stages, control)?;
     graph.decoding()?.decode(&raw, &mut maps)?;
     Ok(Predicted { deviations: Some(deviations(&maps, &deviation)?), maps, belief: Some(belief) })
+}
+
+/// The slopes of the normals of `maps`, two planes without their means: how the sample leans is found elsewhere.
+fn relief(maps: &Maps<f32>) -> Vec<f32> {
+    let pixels = maps.width() * maps.height();
+    let mut slopes = Vec::with_capacity(2 * pixels);
+    for c in 0..2 {
+        let (across, up) = (maps.plane(NORMAL_PLANE + c), maps.plane(NORMAL_PLANE + 2));
+        let slope = |(across, up): (&f32, &f32)| across / up.max(STEEPEST);
+        let mean = across.iter().zip(up).map(slope).map(f64::from).sum::<f64>() / pixels as f64;
+        slopes.extend(across.iter().zip(up).map(slope).map(|slope| slope - mean as f32));
+    }
+    slopes
 }
 
 /// Standard deviations of `maps` from those of nine planes of raw values.
