@@ -8,7 +8,7 @@ pub mod descent;
 mod direct;
 mod finish;
 pub mod latent;
-mod memory;
+pub(crate) mod memory;
 mod network;
 pub mod options;
 mod predicted;

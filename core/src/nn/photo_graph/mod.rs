@@ -22,8 +22,11 @@ use crate::capture::Capture;
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
 use crate::maps::{Lobe, Maps};
+pub(crate) use config::INPUTS;
 pub use config::PhotoGraphConfig;
-use config::{HINTS, INPUTS, RAW_PLANES};
+use config::{HINTS, RAW_PLANES};
+#[cfg(feature = "train")]
+pub(crate) use input::PhotoView;
 use net::{Net, Output};
 use rounds::DIRECTIONS;
 
