@@ -59,7 +59,7 @@ impl Window {
     pub const WHOLE: Self = Self { share: 1.0, centre: [0.0; 2] };
 
     fn draw(dice: &mut Dice, whole: f32) -> Self {
-        let share = if dice.chance(whole) { 1.0 } else { dice.log_uniform(TILE_MIN, 1.0) };
+        let share = if dice.chance(whole) { 1.0 } else { dice.log_uniform(1.0, TILE_MIN) };
         Self { share, centre: [0; 2].map(|_| dice.uniform(-1.0, 1.0) * (1.0 - share)) }
     }
 

@@ -18,7 +18,12 @@ pub(crate) enum Purpose {
 }
 
 /// A source of random numbers.
-pub(crate) struct Dice(fastrand::Rng);
+pub(crate) struct Dice {
+    rng: fastrand::Rng,
+    /// What every uniform value from 0 to 1 and every Gaussian one is, to compare with code that draws in another order.
+    #[cfg(test)]
+    fixed: Option<[f32; 2]>,
+}
 
 impl Dice {
     /// The numbers of `purpose` at the place `numbers`, such as step and example.
@@ -31,11 +36,29 @@ impl Dice {
             bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
             bits ^ (bits >> 31)
         });
-        Self(fastrand::Rng::with_seed(mixed))
+        Self {
+            rng: fastrand::Rng::with_seed(mixed),
+            #[cfg(test)]
+            fixed: None,
+        }
+    }
+
+    #[cfg(test)]
+    pub fn fixed(uniform: f32, normal: f32) -> Self {
+        Self { fixed: Some([uniform, normal]), ..Self::new(0, Purpose::Step, [0, 0]) }
+    }
+
+    /// From 0 to 1, without 1.
+    fn unit(&mut self) -> f32 {
+        #[cfg(test)]
+        if let Some([uniform, _]) = self.fixed {
+            return uniform;
+        }
+        self.rng.f32()
     }
 
     pub fn uniform(&mut self, low: f32, high: f32) -> f32 {
-        low + (high - low) * self.0.f32()
+        low + (high - low) * self.unit()
     }
 
     /// The exponential of a uniform value between the logarithms of `low` and `high`.
@@ -45,18 +68,22 @@ impl Dice {
 
     /// A whole number from `low` to `high`, both included.
     pub fn integer(&mut self, low: usize, high: usize) -> usize {
-        self.0.usize(low..=high)
+        self.rng.usize(low..=high)
     }
 
     pub fn chance(&mut self, probability: f32) -> bool {
-        self.0.f32() < probability
+        self.unit() < probability
     }
 
     /// Two independent Gaussian values with mean 0 and deviation 1 (Box and Muller).
     pub fn normals(&mut self) -> [f32; 2] {
+        #[cfg(test)]
+        if let Some([_, normal]) = self.fixed {
+            return [normal; 2];
+        }
         // 1 - [0, 1): the logarithm stays finite.
-        let radius = (-2.0 * (1.0 - self.0.f32()).ln()).sqrt();
-        let (sine, cosine) = (TAU * self.0.f32()).sin_cos();
+        let radius = (-2.0 * (1.0 - self.rng.f32()).ln()).sqrt();
+        let (sine, cosine) = (TAU * self.rng.f32()).sin_cos();
         [radius * cosine, radius * sine]
     }
 
@@ -66,7 +93,7 @@ impl Dice {
 
     /// An index, each as often as its weight says.
     pub fn weighted(&mut self, weights: &[f64]) -> usize {
-        let mut at = self.0.f64() * weights.iter().sum::<f64>();
+        let mut at = self.rng.f64() * weights.iter().sum::<f64>();
         // Rounding may leave a little behind the last.
         let last = weights.iter().rposition(|&weight| weight > 0.0).unwrap_or(0);
         weights
@@ -79,7 +106,7 @@ impl Dice {
     }
 
     pub fn shuffle<T>(&mut self, values: &mut [T]) {
-        self.0.shuffle(values);
+        self.rng.shuffle(values);
     }
 }
 
