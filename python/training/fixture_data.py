@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Makes tests/fixtures/train/data.safetensors: what the training data of this trainer are where nothing is random.
+"""Makes tests/fixtures/training/data.safetensors: what the training data of this trainer are where nothing is random.
 
-    fixture_data.py tests/fixtures/train/data.safetensors
+    fixture_data.py tests/fixtures/training/data.safetensors
 
 `maps` and `other` are materials of 14 x 14 pixels. `crop I` are crops of 8 x 8 pixels of the first, `crops` (4, 6) how they lie: step,
 angle, centre x and y, flip. Every uniform random number is then U, every Gaussian one G, for the (U, G) of `draws`: `views I` (4, 9) are

@@ -7,6 +7,8 @@ mod hints;
 mod input;
 mod net;
 mod rounds;
+#[cfg(feature = "train")]
+mod train;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -29,6 +31,8 @@ use config::{HINTS, RAW_PLANES};
 pub(crate) use input::PhotoView;
 use net::{Net, Output};
 use rounds::DIRECTIONS;
+#[cfg(feature = "train")]
+pub(crate) use train::Trainable;
 
 /// A network that takes any number of photos with the places of camera and light, and gives raw maps and how certain they are.
 ///

@@ -20,7 +20,7 @@ struct Expected(Vec<u8>);
 
 impl Expected {
     fn open() -> Self {
-        let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/train/data.safetensors");
+        let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/training/data.safetensors");
         Self(std::fs::read(path).unwrap())
     }
 
