@@ -157,7 +157,7 @@ fn on_pool<T: Send>(
 }
 
 /// A pool of its own for each fit, so that the host's global one stays as it is.
-fn pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
+pub(crate) fn pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
     if threads == Some(0) {
         return Err(Error::invalid("threads", "expected at least 1, got 0"));
     }

@@ -119,6 +119,12 @@ impl Model {
         Self { content: Content::PhotoGraph(Box::new(graph)), license: license.into(), facts: BTreeMap::new() }
     }
 
+    /// The same model, of which the file says this too.
+    #[cfg(feature = "train")]
+    pub(crate) fn with_facts(self, facts: BTreeMap<String, String>) -> Self {
+        Self { facts, ..self }
+    }
+
     /// Writes all networks, as `f32`.
     ///
     /// # Errors

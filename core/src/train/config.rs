@@ -309,7 +309,11 @@ impl OptimiserSettings {
 }
 
 fn table(name: &str, text: &str) -> Result<Map<String, Value>> {
-    toml::from_str(text).map_err(|error| Error::invalid(name, error.to_string().trim_end().to_owned()))
+    toml::from_str(text).map_err(|error| {
+        let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+        let line = 1 + before.matches('\n').count();
+        Error::invalid(name, format!("line {line}: {}", error.message().replace('\n', ", ")))
+    })
 }
 
 fn within(name: &str, value: f64, [low, high]: [f64; 2]) -> std::result::Result<(), String> {

@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use image::ImageReader;
 use rayon::prelude::*;
 use serde::Deserialize;
+use serde_json::{Value, json};
 use zip::ZipArchive;
 
 use super::texture::Texture;
@@ -66,15 +67,25 @@ pub(crate) struct Library {
     pub training: Vec<Texture>,
     pub validation: Vec<Texture>,
     /// Names of the materials held out.
-    pub held_out: Vec<String>,
+    held_out: Vec<String>,
     /// How many of the materials to train on come under which licence.
-    pub licences: BTreeMap<String, usize>,
+    licences: BTreeMap<String, usize>,
 }
 
 /// The files of a material, in the order of [`KINDS`].
 type Files = [Option<Vec<u8>>; 4];
 
 impl Library {
+    /// What the materials are, and under which licences, as a weights file says it.
+    pub fn facts(&self) -> Value {
+        json!({
+            "materials": self.training.len(),
+            "licences": self.licences,
+            "held_out": self.held_out,
+            "procedural": "core/src/train/data/procedural.rs",
+        })
+    }
+
     /// Reads the pack or folder `path`.
     ///
     /// # Errors
@@ -288,4 +299,147 @@ fn squared(image: &Image, side: Option<usize>) -> Result<Image> {
         mask.fill(0);
     });
     Image::new(out, out, channels, values)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Cursor, Write};
+    use std::path::Path;
+
+    use image::{ExtendedColorType, ImageEncoder};
+    use zip::ZipWriter;
+    use zip::write::SimpleFileOptions;
+
+    use super::super::texture::Crop;
+    use super::{HELD_OUT, Library};
+
+    /// A JPEG of one colour.
+    fn jpeg(side: u32, color: &[u8]) -> Vec<u8> {
+        let (mut out, kind) =
+            (Vec::new(), if color.len() == 3 { ExtendedColorType::Rgb8 } else { ExtendedColorType::L8 });
+        let pixels = color.repeat((side * side) as usize);
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 100)
+            .write_image(&pixels, side, side, kind)
+            .unwrap();
+        out
+    }
+
+    fn zip(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
+        let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+        for (index, (name, bytes)) in files.iter().enumerate() {
+            // One stored, one deflated, and so on.
+            let methods = [zip::CompressionMethod::Stored, zip::CompressionMethod::Deflated];
+            archive.start_file(*name, SimpleFileOptions::default().compression_method(methods[index % 2])).unwrap();
+            archive.write_all(bytes).unwrap();
+        }
+        archive.finish().unwrap().into_inner()
+    }
+
+    const INDEX: &str = r#"{"size": 16, "materials": [
+        {"name": "a", "family": "wood", "metallic": false, "licence": "CC0-1.0"},
+        {"name": "b", "metallic": true, "validation": true}]}"#;
+
+    fn files() -> Vec<(&'static str, Vec<u8>)> {
+        vec![
+            ("a/basecolor.jpg", jpeg(16, &[128, 128, 128])),
+            ("a/normal.jpg", jpeg(16, &[128, 128, 255])),
+            ("a/roughness.jpg", jpeg(16, &[77])),
+            ("b/basecolor.jpg", jpeg(16, &[128, 128, 128])),
+            ("b/normal.jpg", jpeg(16, &[128, 191, 238])),
+            ("b/roughness.jpg", jpeg(16, &[77])),
+            ("b/metallic.jpg", jpeg(16, &[255])),
+            ("materials.json", INDEX.into()),
+        ]
+    }
+
+    fn open(bytes: &[u8]) -> crate::error::Result<Library> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        Library::open(file.path())
+    }
+
+    /// The planes of the middle pixel.
+    fn middle(texture: &super::Texture) -> Vec<f32> {
+        let crop = Crop { step: 1.0, angle: 0.0, centre: [0.5; 2], mirrored: false };
+        texture.sample(1, &crop).unwrap().into_data()
+    }
+
+    /// Of `a` and `b`: code 128 of sRGB is 0.2159 (IEC 61966-2-1), 77 / 255 is 0.302; (0, 0.498, 0.866) leans to +y.
+    const A: [f32; 10] = [0.2159, 0.2159, 0.2159, 0.004, 0.004, 1.0, 0.302, 0.04, 0.04, 0.04];
+    const B: [f32; 10] = [0.0, 0.0, 0.0, 0.004, 0.498, 0.867, 0.302, 0.2159, 0.2159, 0.2159];
+
+    fn close(got: &[f32], expected: &[f32]) {
+        // JPEG and half precision.
+        assert!(got.iter().zip(expected).all(|(got, expected)| (got - expected).abs() < 0.012), "{got:?} {expected:?}");
+    }
+
+    #[test]
+    fn a_pack() {
+        let library = open(&zip(&files())).unwrap();
+        assert_eq!((library.training.len(), library.validation.len()), (1, 1));
+        assert_eq!(library.facts()["held_out"], serde_json::json!(["b"]));
+        assert_eq!(library.facts()["licences"], serde_json::json!({"CC0-1.0": 1}));
+        close(&middle(&library.training[0]), &A);
+        close(&middle(&library.validation[0]), &B);
+    }
+
+    #[test]
+    fn a_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, bytes) in files() {
+            let path = folder.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, bytes).unwrap();
+        }
+        std::fs::create_dir(folder.path().join("c")).unwrap();
+        let library = Library::open(folder.path()).unwrap();
+        // Without a list the first of every ten.
+        assert_eq!(library.held_out, ["a"]);
+        close(&middle(&library.training[0]), &B);
+        let list = folder.path().join(HELD_OUT);
+        std::fs::write(&list, "b\n").unwrap();
+        assert_eq!(Library::open(folder.path()).unwrap().held_out, ["b"]);
+        std::fs::write(&list, "b nobody\n").unwrap();
+        assert!(Library::open(folder.path()).err().unwrap().to_string().contains("nobody"));
+        std::fs::write(&list, "a b").unwrap();
+        assert!(Library::open(folder.path()).err().unwrap().to_string().contains("no materials to train on"));
+    }
+
+    #[test]
+    fn broken_packs_are_refused() {
+        let refused = |files: &[(&str, Vec<u8>)]| open(&zip(files)).err().unwrap().to_string();
+        let with = |name: &str, bytes: Vec<u8>| {
+            let mut files = files();
+            files.iter_mut().find(|file| file.0 == name).unwrap().1 = bytes;
+            refused(&files)
+        };
+        let whole = zip(&files());
+        for len in (0..whole.len()).step_by(151) {
+            assert!(open(&whole[..len]).is_err(), "{len}");
+        }
+        // A byte off may go unnoticed in a name nobody reads, but never panics.
+        for at in (0..whole.len()).step_by(37) {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 0x55;
+            drop(open(&bytes));
+        }
+        for missing in 0..files().len() {
+            let mut files = files();
+            let name = files.remove(missing).0;
+            assert!(refused(&files).contains(name), "{name}");
+        }
+        for index in ["", "[]", "{\"materials\": [{}]}", "{\"materials\": 3}"] {
+            assert!(with("materials.json", index.into()).contains("materials.json"), "{index}");
+        }
+        assert!(with("materials.json", "{\"materials\": []}".into()).contains("no materials"));
+        assert!(with("a/normal.jpg", jpeg(24, &[128, 128, 255])).contains("expected maps 16 wide, got 24"));
+        assert!(with("a/basecolor.jpg", jpeg(4, &[9, 9, 9])).contains("4 pixels wide, expected 8 to 4096"));
+        assert!(with("a/basecolor.jpg", b"no image".to_vec()).contains("basecolor"));
+        // A header that promises 65500 x 65500 pixels.
+        let mut large = jpeg(16, &[9, 9, 9]);
+        let frame = large.windows(2).position(|marker| marker == [0xff, 0xc0]).unwrap();
+        large[frame + 5..frame + 9].copy_from_slice(&[0xff, 0xdc, 0xff, 0xdc]);
+        assert!(with("a/basecolor.jpg", large).contains("65500 x 65500"));
+        assert!(Library::open(Path::new("/nowhere/materials.zip")).err().unwrap().to_string().contains("nowhere"));
+    }
 }

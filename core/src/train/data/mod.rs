@@ -49,6 +49,11 @@ impl Data {
         }
     }
 
+    /// How many materials there are, procedural ones aside.
+    pub fn materials(&self) -> usize {
+        self.library.len()
+    }
+
     /// What step `step` sees: `count` captures of `size` x `size` pixels.
     ///
     /// # Errors

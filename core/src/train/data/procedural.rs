@@ -35,7 +35,7 @@ const SLOPE_MAX: f32 = 3.0;
 type Kind = fn(&mut Draw) -> Result<Maps<f32>>;
 
 /// All kinds; materials take turns.
-pub(super) const KINDS: [(&str, Kind); 14] = [
+const KINDS: [(&str, Kind); 14] = [
     ("painted", painted),
     ("brushed", brushed),
     ("hammered", hammered),
