@@ -91,10 +91,13 @@ kernel! {
             let (mean, scale) = moments::<E, FUSED>(x, dweight.len(), start);
             let lanes = LANES.min(pixels - start);
             for (c, (x, dy)) in x.chunks_exact(pixels).zip(dy.chunks_exact(pixels)).enumerate() {
-                for (i, (&x, &dy)) in x[start..start + lanes].iter().zip(&dy[start..start + lanes]).enumerate() {
-                    dweight[c] += dy * (x - mean[i]) * scale[i];
-                    dbias[c] += dy;
+                let (x, dy) = (&x[start..start + lanes], &dy[start..start + lanes]);
+                let mut along_x = [E::default(); LANES];
+                for (i, (&x, &dy)) in x.iter().zip(dy).enumerate() {
+                    along_x[i] = dy * ((x - mean[i]) * scale[i]);
                 }
+                dweight[c] += sum::<E>(&along_x);
+                dbias[c] += sum::<E>(dy);
             }
         }
     }

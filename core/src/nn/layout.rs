@@ -61,11 +61,15 @@ impl Layout {
     }
 
     /// Where channels `channels` of band `band` lie.
-    #[cfg(feature = "train")]
     pub fn part(self, band: usize, channels: Range<usize>) -> Range<usize> {
         let pixels = self.band_rows(band).len() * self.width;
         let start = band * self.band_len();
         start + channels.start * pixels..start + channels.end * pixels
+    }
+
+    /// Where band `band` lies.
+    pub fn band(self, band: usize) -> Range<usize> {
+        self.part(band, 0..self.channels)
     }
 
     /// Where row `row` of channel `channel` lies.

@@ -177,7 +177,7 @@ fn concatenated<E: Scalar>(parts: Vec<Planes<E>>, tape: Tape<E>) -> Result<Trace
     out.par_chunks_mut(to.band_len()).enumerate().for_each(|(band, out)| {
         let mut start = 0;
         for part in &parts {
-            let from = &part.values()[part.layout.part(band, 0..part.layout.channels)];
+            let from = &part.values()[part.layout.band(band)];
             out[start..start + from.len()].copy_from_slice(from);
             start += from.len();
         }
@@ -231,7 +231,7 @@ fn pooled<E: Scalar>(photos: Vec<Traced<E>>, hints: &Planes<E>) -> Result<Traced
     record(out, to, tape, wanted, move |mut dy, grads| {
         let share = E::of(1.0 / photos.len() as f64);
         dy.par_chunks_mut(to.band_len()).enumerate().for_each(|(band, dy)| {
-            let part = layout.part(band, 0..layout.channels);
+            let part = layout.band(band);
             let (dmean, rest) = dy.split_at_mut(part.len());
             let (dlargest, rest) = rest.split_at_mut(part.len());
             let kept = &kept[to.part(band, layout.channels..3 * layout.channels)];
@@ -247,7 +247,7 @@ fn pooled<E: Scalar>(photos: Vec<Traced<E>>, hints: &Planes<E>) -> Result<Traced
             photo.add_gradient(grads, || {
                 let mut dx = pool.take(layout.len());
                 dx.par_chunks_mut(layout.band_len()).enumerate().for_each(|(band, dx)| {
-                    let x = &photo.values()[layout.part(band, 0..layout.channels)];
+                    let x = &photo.values()[layout.band(band)];
                     let three = to.part(band, 0..3 * layout.channels);
                     pooled_backward(dx, x, &kept[three.clone()], &dy[three]);
                 });
