@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use rayon::prelude::*;
 use safetensors::SafeTensors;
 
-use super::camera::{Captured, Geometry, Habits, Window, draw_geometry, draw_views, network_input, photograph};
+use super::camera::{Captured, Habits, Window, draw_geometry, draw_views, network_input, photograph};
 use super::dice::{Dice, Purpose};
 use super::noise::Transform;
 use super::texture::{Crop, Texture};
@@ -299,72 +299,4 @@ fn a_batch_follows_from_the_step() {
             assert_ne!(values(&batch), values(&data().batch(step - 1, 4, 16).unwrap()));
         }
     }
-}
-
-#[test]
-#[ignore]
-fn zz_sheet() {
-    let out = PathBuf::from("/tmp/dataref");
-    let transform = Transform::new(128);
-    let (columns, rows) = (14, 6);
-    let mut sheet = vec![0u8; columns * rows * 128 * 128 * 3];
-    let mut put = |sheet: &mut Vec<u8>,
-                   width: usize,
-                   column: usize,
-                   row: usize,
-                   side: usize,
-                   value: &dyn Fn(usize, usize) -> f32| {
-        for at in 0..side * side {
-            for c in 0..3 {
-                let (x, y) = (column * side + at % side, row * side + at / side);
-                sheet[(y * width + x) * 3 + c] = (value(at, c).clamp(0.0, 1.0) * 255.0) as u8;
-            }
-        }
-    };
-    for kind in 0..14 {
-        for which in 0..2 {
-            let maps = procedural::material(9, (kind + 14 * which) as u64, &transform).unwrap();
-            let g = |v: f32| v.powf(1.0 / 2.2);
-            put(&mut sheet, columns * 128, kind, which * 3, 128, &|at, c| g(maps.plane(c)[at]));
-            put(&mut sheet, columns * 128, kind, which * 3 + 1, 128, &|at, c| 0.5 + 0.5 * maps.plane(3 + c)[at]);
-            put(&mut sheet, columns * 128, kind, which * 3 + 2, 128, &|at, c| {
-                if c == 0 { maps.plane(6)[at] } else { g(maps.plane(7 + c)[at]) }
-            });
-        }
-    }
-    image::save_buffer(
-        out.join("kinds.png"),
-        &sheet,
-        (columns * 128) as u32,
-        (rows * 128) as u32,
-        image::ColorType::Rgb8,
-    )
-    .unwrap();
-    let library = super::library::Library::open(std::path::Path::new("/work/main/data/materials.zip")).unwrap();
-    let mut config = settings();
-    config.data.size = 256;
-    config.photos = vec![0.0, 0.0, 1.0];
-    let began = std::time::Instant::now();
-    let mut data = Data::new(&config, library.training);
-    let batch = data.batch(5, 12, 96).unwrap();
-    let first = began.elapsed();
-    let began = std::time::Instant::now();
-    for step in 5..10 {
-        data.batch(step, 12, 96).unwrap();
-    }
-    eprintln!("first {first:?}, five batches of 12 x 3 x 96^2 {:?}", began.elapsed());
-    let mut sheet = vec![0u8; 12 * 7 * 96 * 96 * 3];
-    for (column, example) in batch.examples.iter().enumerate() {
-        let n = 96 * 96;
-        for photo in 0..3 {
-            put(&mut sheet, 12 * 96, column, photo, 96, &|at, c| example.inputs[(photo * 13 + c) * n + at]);
-        }
-        put(&mut sheet, 12 * 96, column, 3, 96, &|at, c| example.inputs[(3 + c) * n + at] / 2.0);
-        put(&mut sheet, 12 * 96, column, 4, 96, &|at, c| example.maps[c * n + at].powf(1.0 / 2.2));
-        put(&mut sheet, 12 * 96, column, 5, 96, &|at, c| 0.5 + 0.5 * example.maps[(3 + c) * n + at]);
-        put(&mut sheet, 12 * 96, column, 6, 96, &|at, c| {
-            if c == 0 { example.maps[6 * n + at] } else { example.maps[(7 + c) * n + at].powf(1.0 / 2.2) }
-        });
-    }
-    image::save_buffer(out.join("batch.png"), &sheet, 12 * 96, 7 * 96, image::ColorType::Rgb8).unwrap();
 }
