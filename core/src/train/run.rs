@@ -206,7 +206,7 @@ impl Run<'_> {
     }
 
     fn save(&self) -> Result<()> {
-        self.trainer.save(self.folder, &json!({ "seconds": self.seconds, "config": self.config }))
+        self.trainer.save(self.folder, &json!({ "seconds": self.seconds, "config": stated(self.config)? }))
     }
 
     /// Judges the averaged network; nothing is logged if the run is cancelled meanwhile.
@@ -227,7 +227,8 @@ impl Run<'_> {
 
     /// Writes the averaged weights with what a reader must know of them.
     fn export(&self, path: &Path, data: Value, license: &str) -> Result<()> {
-        let mut training = json!({ "steps": self.step(), "seconds": self.seconds.round(), "settings": self.config });
+        let mut training =
+            json!({ "steps": self.step(), "seconds": self.seconds.round(), "settings": stated(self.config)? });
         if let (Some(last), Some(training)) = (&self.last, training.as_object_mut()) {
             training.insert("validation".into(), last.clone());
         }
@@ -236,19 +237,34 @@ impl Run<'_> {
     }
 }
 
+/// A configuration as a checkpoint keeps it.
+fn stated(config: &Configuration) -> Result<Value> {
+    // By way of text, where a number in single precision has no more digits than it needs, as in the file it was read from.
+    let text = serde_json::to_string(config).and_then(|text| serde_json::from_str(&text));
+    text.map_err(|error| Error::invalid("configuration", error.to_string()))
+}
+
 /// Names of the settings in which the checkpoint with this `state` differs from `config`.
 fn changed(config: &Configuration, state: &Value) -> Result<Vec<String>> {
-    let tables = |config: &Configuration| match serde_json::to_value(config) {
-        Ok(Value::Object(tables)) => Ok(tables),
-        Ok(_) => Ok(Map::new()),
-        Err(error) => Err(Error::invalid("configuration", error.to_string())),
-    };
-    // Numbers may be written in another way: both are compared as read.
-    let before = state.get("config").cloned().unwrap_or_default();
-    let before: Configuration = serde_json::from_value(before)
-        .map_err(|error| Error::invalid("checkpoint", format!("state.json: config: {error}")))?;
-    let (before, now) = (tables(&before)?, tables(config)?);
-    Ok(now.into_iter().filter(|(key, value)| before.get(key) != Some(value)).map(|(key, _)| key).collect())
+    let Value::Object(now) = stated(config)? else { return Ok(Vec::new()) };
+    let before = |key: &str| state.pointer(&format!("/config/{key}"));
+    Ok(now
+        .into_iter()
+        .filter(|(key, value)| !before(key).is_some_and(|b| same(b, value)))
+        .map(|(key, _)| key)
+        .collect())
+}
+
+/// Whether two values are the same, however their numbers are written.
+fn same(a: &Value, b: &Value) -> bool {
+    match (a, b) {
+        (Value::Number(a), Value::Number(b)) => a.as_f64() == b.as_f64(),
+        (Value::Array(a), Value::Array(b)) => a.len() == b.len() && a.iter().zip(b).all(|(a, b)| same(a, b)),
+        (Value::Object(a), Value::Object(b)) => {
+            a.len() == b.len() && a.iter().all(|(key, a)| b.get(key).is_some_and(|b| same(a, b)))
+        }
+        (a, b) => a == b,
+    }
 }
 
 fn rounded(value: f64, parts: f64) -> f64 {
