@@ -45,10 +45,7 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     drop(ctrlc::set_handler(move || on_interrupt.cancel()));
 
     let config = Configuration::load(&args.config, &args.changes)?;
-    let mut options = RunOptions::default();
-    options.seconds = args.seconds;
-    options.license.clone_from(&args.license);
-    options.cancel = cancel;
+    let options = RunOptions { seconds: args.seconds, license: args.license.clone(), cancel };
     let pool = pool(args.threads)?;
     let bar = Bar::new(args.quiet);
     let summary = pool.install(|| train(&config, &args.output, &options, &mut |event| bar.show(event)));
