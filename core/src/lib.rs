@@ -15,6 +15,8 @@ pub mod material;
 pub mod metrics;
 pub mod nn;
 pub mod render;
+#[cfg(feature = "train")]
+pub mod train;
 
 pub use capture::{Capture, CaptureOptions, Photo, PhotoPixels, Shot};
 pub use color::{ColorSpace, Transfer};

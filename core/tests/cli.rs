@@ -149,7 +149,10 @@ fn bad_input_is_one_line_that_names_it() {
     let missing = folder.path().join("nowhere");
     let garbage = folder.path().join("garbage.safetensors");
     std::fs::write(&garbage, [0xffu8; 64]).unwrap();
-    let cases: [(&[&str], i32, &[&str]); 8] = [
+    let config = folder.path().join("config.toml");
+    std::fs::write(&config, "[data]\npack = \"nowhere.zip\"\n").unwrap();
+    let (config, broken) = (text(&config), text(&garbage));
+    let cases: [(&[&str], i32, &[&str]); 13] = [
         (&["fit", text(&missing), "-o", out], 3, &["nowhere"]),
         (&["fit", capture, "-o", out, "--views", "0,9"], 2, &["9", "5"]),
         (&["fit", capture, "-o", out, "--max-memory", "1000"], 6, &["max_memory", "1000"]),
@@ -158,6 +161,11 @@ fn bad_input_is_one_line_that_names_it() {
         (&["fit", capture, "-o", out, "--weights", text(&garbage)], 4, &["weights"]),
         (&["render", capture, "--camera", "0,0,1", "--light", "0,0,1", "-o", out], 3, &["material.json"]),
         (&["evaluate", text(&missing), capture], 3, &["nowhere"]),
+        (&["train", text(&missing), "-o", out], 3, &["nowhere"]),
+        (&["train", broken, "-o", out], 2, &["garbage"]),
+        (&["train", config, "-o", out], 3, &["nowhere.zip"]),
+        (&["train", config, "-o", out, "--set", "data.pack=nowhere.zip"], 2, &["data.pack", "nowhere.zip"]),
+        (&["train", config, "-o", out, "--set", "optimiser.rat=1"], 2, &["optimiser.rat", "no such setting"]),
     ];
     for (arguments, code, names) in cases {
         let output = run(arguments);

@@ -50,8 +50,8 @@ def losses(raw, log_sigma, maps, rng, settings, roughness_floor):
     parts["maps"] = sum(parts[name] for name in GROUPS) / len(GROUPS)
 
     count, _, height, width = maps.shape
-    views = (tensor.to(maps.device) for tensor in draw_views(rng, count, settings["views"]))
-    position = pixel_positions(height, width, device=maps.device)[None]
+    views = (tensor.to(maps) for tensor in draw_views(rng, count, settings["views"]))
+    position = pixel_positions(height, width, device=maps.device, dtype=maps.dtype)[None]
     camera, light, intensity = views
     predicted = decode_maps(raw, roughness_floor)
     with torch.no_grad():

@@ -74,9 +74,13 @@ class Trainer:
         with torch.no_grad():
             shots, rng = data.captures(self.step, phase["batch"], phase["size"])
             inputs = camera.network_input(shots.photos, shots.saturated, shots.stated)
+        return self.descend(inputs, shots.maps, rng)
+
+    def descend(self, inputs, maps, rng):
+        """One step on what the network sees and the true maps; `rng` draws where renderings are compared."""
         with self.autocast():
             raw, log_sigma = self.model(inputs, None)
-        parts = losses(raw, log_sigma, shots.maps, rng, self.config["loss"], self.model.config["roughness_floor"])
+        parts = losses(raw, log_sigma, maps, rng, self.config["loss"], self.model.config["roughness_floor"])
         self.optimiser.zero_grad(set_to_none=True)
         parts["loss"].backward()
         norm = torch.nn.utils.clip_grad_norm_(self.named.values(), self.config["optimiser"]["clip"])

@@ -6,6 +6,7 @@ mod fit;
 mod info;
 mod preview;
 mod render;
+mod train;
 
 use std::ffi::OsString;
 use std::io::Write;
@@ -43,6 +44,8 @@ enum Command {
     Export(export::ExportArgs),
     /// Tell what a weights file or a material folder holds.
     Info(info::InfoArgs),
+    /// Train the default network on your own materials.
+    Train(train::TrainArgs),
 }
 
 /// How a capture is read; the same for every command that takes one.
@@ -145,6 +148,7 @@ pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) ->
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Info(args) => info::run(&args),
+        Command::Train(args) => train::run(&args),
     };
     match result {
         Ok(()) => 0,

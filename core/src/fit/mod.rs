@@ -9,7 +9,7 @@ mod deviations;
 mod direct;
 mod finish;
 pub mod latent;
-mod memory;
+pub(crate) mod memory;
 mod network;
 pub mod options;
 mod predicted;
@@ -164,7 +164,7 @@ fn on_pool<T: Send>(
 }
 
 /// A pool of its own for each fit, so that the host's global one stays as it is.
-fn pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
+pub(crate) fn pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
     if threads == Some(0) {
         return Err(Error::invalid("threads", "expected at least 1, got 0"));
     }

@@ -91,10 +91,13 @@ kernel! {
             let (mean, scale) = moments::<E, FUSED>(x, dweight.len(), start);
             let lanes = LANES.min(pixels - start);
             for (c, (x, dy)) in x.chunks_exact(pixels).zip(dy.chunks_exact(pixels)).enumerate() {
-                for (i, (&x, &dy)) in x[start..start + lanes].iter().zip(&dy[start..start + lanes]).enumerate() {
-                    dweight[c] += dy * (x - mean[i]) * scale[i];
-                    dbias[c] += dy;
+                let (x, dy) = (&x[start..start + lanes], &dy[start..start + lanes]);
+                let mut along_x = [E::default(); LANES];
+                for (i, (&x, &dy)) in x.iter().zip(dy).enumerate() {
+                    along_x[i] = dy * ((x - mean[i]) * scale[i]);
                 }
+                dweight[c] += sum::<E>(&along_x);
+                dbias[c] += sum::<E>(dy);
             }
         }
     }
@@ -135,19 +138,38 @@ kernel! {
     /// Adds the gradient of [`depthwise`] with respect to its nine weights.
     pub(crate) fn depthwise_backward_weight<E>(dweight: &mut [E], dy: &[E], above: Option<&[E]>, rows: &[E], below: Option<&[E]>, width: usize) {
         let count = rows.len() / width;
+        let mut sums = [[E::default(); 16]; 9];
         for (r, dy) in dy.chunks_exact(width).enumerate() {
             let lines = [
                 if r == 0 { above } else { Some(&rows[(r - 1) * width..r * width]) },
                 Some(&rows[r * width..(r + 1) * width]),
                 if r + 1 == count { below } else { Some(&rows[(r + 1) * width..(r + 2) * width]) },
             ];
-            for (line, taps) in lines.into_iter().zip(dweight.chunks_exact_mut(3)) {
+            for (line, sums) in lines.into_iter().zip(sums.chunks_exact_mut(3)) {
                 let Some(line) = line else { continue };
-                taps[0] += dot::<E>(&dy[1..], line);
-                taps[1] += dot::<E>(dy, line);
-                taps[2] += dot::<E>(dy, &line[1..]);
+                add_products_in_lanes::<E, FUSED>(&mut sums[0], &dy[1..], &line[..width - 1]);
+                add_products_in_lanes::<E, FUSED>(&mut sums[1], dy, line);
+                add_products_in_lanes::<E, FUSED>(&mut sums[2], &dy[..width - 1], &line[1..]);
             }
         }
+        for (dweight, sums) in dweight.iter_mut().zip(sums) {
+            *dweight += sums.into_iter().fold(E::default(), |total, sum| total + sum);
+        }
+    }
+}
+
+/// Adds products to sums in turn, for as many pairs as both have.
+#[inline(always)]
+fn add_products_in_lanes<E: Scalar, const FUSED: bool>(sums: &mut [E; 16], a: &[E], b: &[E]) {
+    let len = a.len().min(b.len());
+    for (a, b) in a.chunks_exact(16).zip(b.chunks_exact(16)) {
+        for ((sum, &a), &b) in sums.iter_mut().zip(a).zip(b) {
+            *sum = multiply_add::<E, FUSED>(a, b, *sum);
+        }
+    }
+    let start = len / 16 * 16;
+    for (sum, (&a, &b)) in sums.iter_mut().zip(a[start..len].iter().zip(&b[start..len])) {
+        *sum += a * b;
     }
 }
 
@@ -155,17 +177,7 @@ kernel! {
     /// Sum of products, over as many pairs as both have.
     pub(crate) fn dot<E>(a: &[E], b: &[E]) -> E {
         let mut sums = [E::default(); 16];
-        let (a_chunks, b_chunks) = (a.chunks_exact(16), b.chunks_exact(16));
-        let len = a.len().min(b.len());
-        for (a, b) in a_chunks.zip(b_chunks) {
-            for ((sum, &a), &b) in sums.iter_mut().zip(a).zip(b) {
-                *sum = multiply_add::<E, FUSED>(a, b, *sum);
-            }
-        }
-        let start = len / 16 * 16;
-        for (sum, (&a, &b)) in sums.iter_mut().zip(a[start..len].iter().zip(&b[start..len])) {
-            *sum += a * b;
-        }
+        add_products_in_lanes::<E, FUSED>(&mut sums, a, b);
         sums.into_iter().fold(E::default(), |total, sum| total + sum)
     }
 }

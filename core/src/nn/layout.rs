@@ -60,6 +60,18 @@ impl Layout {
         self.channels * self.rows() * self.width
     }
 
+    /// Where channels `channels` of band `band` lie.
+    pub fn part(self, band: usize, channels: Range<usize>) -> Range<usize> {
+        let pixels = self.band_rows(band).len() * self.width;
+        let start = band * self.band_len();
+        start + channels.start * pixels..start + channels.end * pixels
+    }
+
+    /// Where band `band` lies.
+    pub fn band(self, band: usize) -> Range<usize> {
+        self.part(band, 0..self.channels)
+    }
+
     /// Where row `row` of channel `channel` lies.
     pub fn row(self, channel: usize, row: usize) -> Range<usize> {
         let band = row / self.rows();

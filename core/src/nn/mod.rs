@@ -22,4 +22,13 @@ pub use config::{Gcn, NetworkConfig};
 pub use decode::Decoding;
 pub use model::{Code, DecoderTrace, Model, Network};
 pub use params::AdapterParams;
+#[cfg(feature = "train")]
+pub(crate) use photo_graph::{INPUTS, PhotoView};
 pub use photo_graph::{PhotoGraph, PhotoGraphConfig, Prediction};
+#[cfg(feature = "train")]
+pub(crate) use {
+    photo_graph::Trainable,
+    scalar::Scalar,
+    tape::Pool,
+    weights::{read_tensors, write as write_tensors},
+};

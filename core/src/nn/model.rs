@@ -2,12 +2,9 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Cursor, Read, Seek, Write};
+use std::io::{BufReader, BufWriter, Cursor, Read, Seek};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
-
-use safetensors::Dtype;
-use safetensors::tensor::{Metadata, TensorInfo};
 
 use super::config::NetworkConfig;
 use super::layout::Layout;
@@ -15,7 +12,7 @@ use super::network::{Decoder, Encoded, Encoder, Trace};
 use super::params::AdapterParams;
 use super::photo_graph::{PhotoGraph, PhotoGraphConfig};
 use super::tape::{Param, Planes, Pool};
-use super::weights::{Reader, broken};
+use super::weights::{self, Reader, broken};
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
 use crate::io::save::temporary_beside;
@@ -122,43 +119,31 @@ impl Model {
         Self { content: Content::PhotoGraph(Box::new(graph)), license: license.into(), facts: BTreeMap::new() }
     }
 
+    /// The same model, of which the file says this too.
+    #[cfg(feature = "train")]
+    pub(crate) fn with_facts(self, facts: BTreeMap<String, String>) -> Self {
+        Self { facts, ..self }
+    }
+
     /// Writes all networks, as `f32`.
     ///
     /// # Errors
     /// [`Error::Io`] if the file cannot be written.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let path = path.as_ref();
-        let (mut infos, mut all, mut end) = (Vec::new(), Vec::new(), 0);
-        let mut add = |name: String, shape, values| {
-            let start = end;
-            end += size_of_val(values);
-            infos.push((name, TensorInfo { dtype: Dtype::F32, shape, data_offsets: (start, end) }));
-            all.push(values);
-        };
+        let mut tensors = Vec::new();
         match &self.content {
             Content::Networks(networks) => networks.iter().for_each(|network| {
                 let prefix = prefix(&network.config);
-                network.for_each_tensor(|name, shape, values| add(format!("{prefix}{name}"), shape, values));
+                network.for_each_tensor(|name, shape, values| tensors.push((format!("{prefix}{name}"), shape, values)));
             }),
             Content::PhotoGraph(graph) => {
-                graph.for_each_tensor(|name, shape, values| add(name.to_owned(), shape, values));
+                graph.for_each_tensor(|name, shape, values| tensors.push((name.to_owned(), shape, values)));
             }
         }
-        let unfit = |error: &dyn std::fmt::Display| Error::io(path, std::io::Error::other(error.to_string()));
-        let metadata = self.metadata().map_err(|error| unfit(&error))?;
-        let header = Metadata::new(Some(metadata), infos).map_err(|error| unfit(&error))?;
-        let mut header = serde_json::to_vec(&header).map_err(|error| unfit(&error))?;
-        header.resize(header.len().next_multiple_of(8), b' ');
-
-        let file = temporary_beside(path)?;
-        let mut out = BufWriter::new(file);
-        let mut write = || -> std::io::Result<()> {
-            out.write_all(&(header.len() as u64).to_le_bytes())?;
-            out.write_all(&header)?;
-            all.iter().copied().flatten().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
-            out.flush()
-        };
-        write().map_err(|error| Error::io(path, error))?;
+        let metadata = self.metadata().map_err(|error| Error::io(path, error))?;
+        let mut out = BufWriter::new(temporary_beside(path)?);
+        weights::write(&mut out, Some(metadata), &tensors).map_err(|error| Error::io(path, error))?;
         let file = out.into_inner().map_err(|error| Error::io(path, error.into_error()))?;
         file.persist(path).map_err(|error| Error::io(path, error.error))?;
         Ok(())

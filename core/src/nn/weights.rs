@@ -1,11 +1,11 @@
 //! Reading weights files, which may be broken or hostile.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::io::{Read, Seek, SeekFrom};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::io::{Read, Seek, SeekFrom, Write};
 
 use half::f16;
 use safetensors::Dtype;
-use safetensors::tensor::Metadata;
+use safetensors::tensor::{Metadata, TensorInfo};
 
 use crate::error::{Error, Result};
 
@@ -17,6 +17,33 @@ const BUFFER: usize = 1 << 16;
 /// An [`Error::Weights`].
 pub(crate) fn broken(reason: impl Into<String>) -> Error {
     Error::Weights { reason: reason.into() }
+}
+
+/// A tensor to be written: name, shape, values.
+pub(crate) type Named<'a> = (String, Vec<usize>, &'a [f32]);
+
+/// Writes a safetensors file of `tensors` as `f32`, the data aligned to 8 bytes.
+pub(crate) fn write(
+    mut out: impl Write,
+    metadata: Option<HashMap<String, String>>,
+    tensors: &[Named<'_>],
+) -> std::io::Result<()> {
+    let mut end = 0;
+    let info = |(name, shape, values): &Named<'_>| {
+        let start = end;
+        end += size_of_val(*values);
+        (name.clone(), TensorInfo { dtype: Dtype::F32, shape: shape.clone(), data_offsets: (start, end) })
+    };
+    let infos = tensors.iter().map(info).collect();
+    let header = Metadata::new(metadata, infos).map_err(std::io::Error::other)?;
+    let mut header = serde_json::to_vec(&header)?;
+    header.resize(header.len().next_multiple_of(8), b' ');
+    out.write_all(&(header.len() as u64).to_le_bytes())?;
+    out.write_all(&header)?;
+    for value in tensors.iter().flat_map(|tensor| tensor.2) {
+        out.write_all(&value.to_le_bytes())?;
+    }
+    out.flush()
 }
 
 /// A safetensors file whose header has been checked; tensors are read one by one.
@@ -106,4 +133,14 @@ impl<R: Read + Seek> Reader<R> {
             None => Ok(values),
         }
     }
+}
+
+/// The `f32` or `f16` tensors of a safetensors file with these names and shapes, all finite.
+#[cfg(feature = "train")]
+pub(crate) fn read_tensors(
+    source: impl Read + Seek,
+    shapes: &[(String, Vec<usize>)],
+) -> Result<BTreeMap<String, Vec<f32>>> {
+    let mut reader = Reader::open(source)?;
+    shapes.iter().map(|(name, shape)| Ok((name.clone(), reader.read(name, shape)?))).collect()
 }

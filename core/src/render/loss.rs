@@ -110,10 +110,18 @@ impl Target {
     pub fn shot(&self) -> &Shot {
         &self.shot
     }
+}
 
-    /// Sum over channels of the squared errors of the pixels from `column` on, and half its derivatives by the radiance.
+/// What renderings are compared with.
+pub(super) trait Comparison<T>: Sync {
+    /// Sum over channels of the errors of the pixels from `column` on, and half its derivatives by the radiance.
+    fn compare<L: Lanes<Scalar = T>>(&self, row: usize, column: usize, radiance: [L; 3]) -> (L, [L; 3]);
+}
+
+impl<T> Comparison<T> for Target {
+    /// Squared errors.
     #[inline(always)]
-    fn compare<L: Lanes>(&self, row: usize, column: usize, radiance: [L; 3]) -> (L, [L; 3]) {
+    fn compare<L: Lanes<Scalar = T>>(&self, row: usize, column: usize, radiance: [L; 3]) -> (L, [L; 3]) {
         let zero = L::splat(0.0);
         let stride = padded(self.width);
         let flags = &self.saturated[row * stride + column..][..L::LANES];
@@ -160,52 +168,58 @@ pub fn photo_loss<T: Real>(
         views.push((View::new(&target.shot, patch_size)?, target));
     }
     let weight = LOSS_SCALE / (3.0 * pixels as f64 * targets.len() as f64);
-    let job = Job { grid: &grid, views: &views, maps, weight };
+    compared(&Job { grid: &grid, views: &views, maps, weight }, gradient)
+}
+
+/// The weighted sum of the errors that `job` states, with its gradient as [`photo_loss`] gives it.
+pub(super) fn compared<T: Real, C: Comparison<T>>(job: &Job<'_, T, C>, gradient: Option<&mut Maps<T>>) -> Result<f64> {
+    let Job { grid, maps, weight, .. } = *job;
+    let pixels = maps.width() * maps.height();
     let partial: Vec<f64> = match gradient {
         Some(gradient) => {
             if (gradient.lobe(), gradient.width(), gradient.height()) != (maps.lobe(), maps.width(), maps.height()) {
-                let shape = |maps: &Maps<T>| {
-                    format!("{} planes of {}", maps.lobe().planes(), size(maps.width(), maps.height()))
-                };
+                let shape =
+                    |maps: &Maps<T>| format!("{} planes of {} x {}", maps.lobe().planes(), maps.height(), maps.width());
                 return Err(Error::shape("gradient", shape(maps), shape(gradient)));
             }
             let mut chunks = split_planes(gradient.data_mut(), pixels, grid.chunk_rows * grid.width);
             chunks
                 .par_iter_mut()
                 .enumerate()
-                .map(|(index, out)| T::run(LossRows::<_, true> { job: &job, rows: grid.rows(index), gradient: out }))
+                .map(|(index, out)| T::run(LossRows::<_, _, true> { job, rows: grid.rows(index), gradient: out }))
                 .collect()
         }
         None => (0..maps.height().div_ceil(grid.chunk_rows))
             .into_par_iter()
-            .map(|index| T::run(LossRows::<_, false> { job: &job, rows: grid.rows(index), gradient: &mut [] }))
+            .map(|index| T::run(LossRows::<_, _, false> { job, rows: grid.rows(index), gradient: &mut [] }))
             .collect(),
     };
     Ok(weight * partial.iter().sum::<f64>())
 }
 
 /// What all chunks share.
-struct Job<'a, T> {
-    grid: &'a Grid,
-    views: &'a [(View, &'a Target)],
-    maps: &'a Maps<T>,
-    weight: f64,
+pub(super) struct Job<'a, T, C> {
+    pub grid: &'a Grid,
+    pub views: &'a [(View, &'a C)],
+    pub maps: &'a Maps<T>,
+    /// Of every error.
+    pub weight: f64,
 }
 
-/// Sum of squares and gradient of some rows.
-struct LossRows<'a, T, const GRADIENT: bool> {
-    job: &'a Job<'a, T>,
+/// Sum of errors and gradient of some rows.
+struct LossRows<'a, T, C, const GRADIENT: bool> {
+    job: &'a Job<'a, T, C>,
     rows: std::ops::Range<usize>,
     gradient: &'a mut [&'a mut [T]],
 }
 
-impl<T: Real, const GRADIENT: bool> LossRows<'_, T, GRADIENT> {
+impl<T: Real, C: Comparison<T>, const GRADIENT: bool> LossRows<'_, T, C, GRADIENT> {
     #[inline(always)]
     fn rows<L: Lanes<Scalar = T>, const ANISOTROPIC: bool>(self) -> f64 {
         let Job { grid, views, maps, weight } = *self.job;
         let planes = planes(maps);
         let weight = L::splat(2.0 * weight);
-        let (mut tile, mut slopes) = (Tile::new(), Tile::new());
+        let (mut tile, mut out) = (Tile::new(), Tile::new());
         let mut sum = L::Wide::splat(0.0);
         for row in self.rows.clone() {
             for column in (0..grid.width).step_by(TILE) {
@@ -220,22 +234,22 @@ impl<T: Real, const GRADIENT: bool> LossRows<'_, T, GRADIENT> {
                         let response = view.response(&frame, x, y);
                         let intensity = view.intensity::<L>();
                         let radiance = response.radiance(&surface, intensity);
-                        let (squares, errors) = target.compare(row, column + at, radiance);
-                        sum = sum + squares.widen();
+                        let (errors, slopes) = target.compare(row, column + at, radiance);
+                        sum = sum + errors.widen();
                         if GRADIENT {
-                            let mut by_response = errors;
+                            let mut by_response = slopes;
                             for c in 0..3 {
-                                by_response[c] = errors[c] * (intensity[c] * weight);
+                                by_response[c] = slopes[c] * (intensity[c] * weight);
                             }
                             gradient.add(&surface, &response, by_response);
                         }
                     }
                     if GRADIENT {
-                        slopes.store_surface::<L, ANISOTROPIC>(at, &gradient.finish(&frame));
+                        out.store_surface::<L, ANISOTROPIC>(at, &gradient.finish(&frame));
                     }
                 }
                 if GRADIENT {
-                    slopes.write(self.gradient, (row - self.rows.start) * grid.width + column, len);
+                    out.write(self.gradient, (row - self.rows.start) * grid.width + column, len);
                 }
             }
         }
@@ -243,7 +257,7 @@ impl<T: Real, const GRADIENT: bool> LossRows<'_, T, GRADIENT> {
     }
 }
 
-impl<T: Real, const GRADIENT: bool> Kernel<T> for LossRows<'_, T, GRADIENT> {
+impl<T: Real, C: Comparison<T>, const GRADIENT: bool> Kernel<T> for LossRows<'_, T, C, GRADIENT> {
     type Output = f64;
 
     #[inline(always)]

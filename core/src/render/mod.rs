@@ -5,6 +5,8 @@
 //! the same bits on any number of threads.
 
 mod loss;
+#[cfg(feature = "train")]
+mod rendering;
 mod tape;
 
 use rayon::prelude::*;
@@ -21,6 +23,8 @@ use crate::material::Material;
 pub use tape::photo_loss_on_tape;
 
 pub use loss::{TOE, Target, encode_radiance, photo_loss};
+#[cfg(feature = "train")]
+pub(crate) use rendering::rendering_loss;
 
 /// Pixels of a chunk of work, rounded to whole rows.
 const CHUNK_PIXELS: usize = 4096;

@@ -5,7 +5,7 @@ use std::ops::Range;
 use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
-use super::expect;
+use super::{expect, sum_over_bands};
 use crate::error::{Error, Result};
 use crate::nn::kernels::{fill, sum};
 use crate::nn::layout::Layout;
@@ -45,12 +45,13 @@ pub(crate) fn pointwise<E: Scalar, T: Tape<E, Cpu>>(
             dx
         })?;
         weight.add_gradient(grads, |dweight| {
-            let x = x.as_ref().map_or(&[][..], Planes::values);
-            for (dy, x) in dy.chunks(to.band_len()).zip(x.chunks(layout.band_len())) {
+            let Some(x) = x else { return };
+            sum_over_bands(dweight, layout.bands(), |dweight, band| {
+                let (dy, x) = (&dy[to.band(band)], &x.values()[layout.band(band)]);
                 let pixels = dy.len() / outputs;
                 let x = Matrix::new(x, layout.channels, pixels).transposed();
                 multiply(dweight, true, Matrix::new(dy, outputs, pixels), x);
-            }
+            });
         })?;
         bias.map_or(Ok(()), |bias| bias.add_gradient(grads, |dbias| add_sums(dbias, &dy, to)))
     })
@@ -82,7 +83,8 @@ pub(crate) fn conv3x3<E: Scalar, T: Tape<E, Cpu>>(
         slot.add(grads, || correlate(&pool, &dy, to, images, &mirrored(weight.values(), channels), None))?;
         weight.add_gradient(grads, |dweight| {
             let Some(x) = x else { return };
-            for (band, dy) in dy.chunks(to.band_len()).enumerate() {
+            sum_over_bands(dweight, layout.bands(), |dweight, band| {
+                let dy = &dy[to.band(band)];
                 let pixels = dy.len() / to.channels;
                 for (image, dy) in dy.chunks_exact(outputs * pixels).enumerate() {
                     let of_image = image * channels..(image + 1) * channels;
@@ -90,7 +92,7 @@ pub(crate) fn conv3x3<E: Scalar, T: Tape<E, Cpu>>(
                     let columns = Matrix::new(&columns, 9 * channels, pixels).transposed();
                     multiply(dweight, true, Matrix::new(dy, outputs, pixels), columns);
                 }
-            }
+            });
         })?;
         bias.add_gradient(grads, |dbias| add_sums(dbias, &dy, to))
     })
@@ -110,12 +112,13 @@ fn outputs<E: Scalar>(name: &str, weight: &Param<E>, bias: Option<&Param<E>>, in
 /// Adds the sums over pixels of each channel; channels beyond those of `sums` begin from its first again.
 fn add_sums<E: Scalar>(sums: &mut [E], values: &[E], layout: Layout) {
     let outputs = sums.len();
-    for band in values.chunks(layout.band_len()) {
+    sum_over_bands(sums, layout.bands(), |sums, band| {
+        let band = &values[layout.band(band)];
         let pixels = band.len() / layout.channels;
         for (channel, row) in band.chunks_exact(pixels).enumerate() {
             sums[channel % outputs] += sum(row);
         }
-    }
+    });
 }
 
 /// The convolution of each image with 3x3 `weight`s, plus `bias` where there is one.

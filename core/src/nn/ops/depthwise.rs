@@ -3,7 +3,7 @@
 use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
-use super::expect;
+use super::{expect, sum_over_bands};
 use crate::error::Result;
 use crate::nn::kernels::{depthwise, depthwise_backward_weight, sum};
 use crate::nn::layout::Layout;
@@ -37,20 +37,22 @@ pub(crate) fn depthwise3x3<E: Scalar, T: Tape<E, Cpu>>(
             dx
         })?;
         weight.add_gradient(grads, |dweight| {
-            for (band, dy) in dy.chunks(layout.band_len()).enumerate() {
+            sum_over_bands(dweight, layout.bands(), |dweight, band| {
+                let dy = &dy[layout.band(band)];
                 let pixels = dy.len() / layout.channels;
                 for (c, (dy, dweight)) in dy.chunks_exact(pixels).zip(dweight.chunks_exact_mut(9)).enumerate() {
                     let (above, rows, below) = channel_rows(x.values(), layout, band, c);
                     depthwise_backward_weight(dweight, dy, above, rows, below, layout.width);
                 }
-            }
+            });
         })?;
         bias.add_gradient(grads, |dbias| {
-            for dy in dy.chunks(layout.band_len()) {
+            sum_over_bands(dbias, layout.bands(), |dbias, band| {
+                let dy = &dy[layout.band(band)];
                 for (dbias, dy) in dbias.iter_mut().zip(dy.chunks_exact(dy.len() / layout.channels)) {
                     *dbias += sum(dy);
                 }
-            }
+            });
         })
     })
 }

@@ -3,7 +3,7 @@
 use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
-use super::expect;
+use super::{expect, sum_over_bands};
 use crate::error::Result;
 use crate::nn::kernels::{add, norm, norm_backward, norm_backward_params};
 use crate::nn::scalar::Scalar;
@@ -40,12 +40,14 @@ pub(crate) fn layer_norm<E: Scalar, T: Tape<E, Cpu>>(
         if !tracked {
             return Ok(());
         }
-        let (mut dweight, mut dbias) = (vec![E::default(); layout.channels], vec![E::default(); layout.channels]);
-        for (dy, x) in dy.chunks(layout.band_len()).zip(x.values().chunks(layout.band_len())) {
-            norm_backward_params(&mut dweight, &mut dbias, dy, x);
-        }
-        weight.add_gradient(grads, |gradient| add(gradient, &dweight))?;
-        bias.add_gradient(grads, |gradient| add(gradient, &dbias))
+        let mut both = vec![E::default(); 2 * layout.channels];
+        sum_over_bands(&mut both, layout.bands(), |both, band| {
+            let (dweight, dbias) = both.split_at_mut(layout.channels);
+            norm_backward_params(dweight, dbias, &dy[layout.band(band)], &x.values()[layout.band(band)]);
+        });
+        let (dweight, dbias) = both.split_at(layout.channels);
+        weight.add_gradient(grads, |gradient| add(gradient, dweight))?;
+        bias.add_gradient(grads, |gradient| add(gradient, dbias))
     })
 }
 

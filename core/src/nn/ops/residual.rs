@@ -3,7 +3,7 @@
 use dfdx::tensor::{Cpu, Tape};
 use rayon::prelude::*;
 
-use super::expect;
+use super::{expect, sum_over_bands};
 use crate::error::{Error, Result};
 use crate::nn::kernels::{add_scaled, dot, scale};
 use crate::nn::scalar::Scalar;
@@ -36,13 +36,14 @@ pub(crate) fn residual<E: Scalar, T: Tape<E, Cpu>>(
             dbranch
         })?;
         factor.add_gradient(grads, |dscale| {
-            for (dy, branch) in dy.chunks(layout.band_len()).zip(branch.values().chunks(layout.band_len())) {
+            sum_over_bands(dscale, layout.bands(), |dscale, band| {
+                let (dy, branch) = (&dy[layout.band(band)], &branch.values()[layout.band(band)]);
                 let pixels = dy.len() / layout.channels;
                 let rows = dy.chunks_exact(pixels).zip(branch.chunks_exact(pixels));
                 for (dscale, (dy, branch)) in dscale.iter_mut().zip(rows) {
                     *dscale += dot(dy, branch);
                 }
-            }
+            });
         })?;
         x.add_gradient(grads, || dy)
     })

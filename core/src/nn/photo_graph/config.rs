@@ -211,7 +211,14 @@ impl PhotoGraphConfig {
             list.push((format!("{name}.bias"), vec![shape[0]]));
         };
         let block = |list: &mut Vec<TensorSpec>, name: &str, channels: usize| {
-            list.extend(block_tensors(channels).map(|(tensor, shape)| (format!("{name}.{tensor}"), shape.to_vec())));
+            // Only kernels have four dimensions, as in the training code's files.
+            let own = |tensor: &str, shape: [usize; 4]| match tensor.split_once('.') {
+                Some((layer, "weight" | "1.weight")) if !layer.starts_with("norm") => shape.to_vec(),
+                _ => shape[..1].to_vec(),
+            };
+            list.extend(
+                block_tensors(channels).map(|(tensor, shape)| (format!("{name}.{tensor}"), own(tensor, shape))),
+            );
         };
         let blocks = |list: &mut Vec<TensorSpec>, name: &str, count: usize, channels: usize| {
             (0..count).for_each(|index| block(list, &format!("{name}.{index}"), channels));

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use rayon::prelude::*;
 
 use super::config::{INPUTS, RATIO_MAX};
-use crate::capture::Photo;
+use crate::capture::{Photo, Shot};
 use crate::error::Result;
 use crate::nn::layout::Layout;
 use crate::nn::tape::{Planes, Pool};
@@ -22,14 +22,7 @@ const RATIO_MIN: f32 = 1e-6;
 /// width of the patch is the unit of length.
 pub(super) fn planes(photo: &Photo, patch_size: f64, layout: Layout, pool: &Pool<f32>) -> Result<Planes<f32>> {
     let (width, height) = (photo.image.width(), photo.image.height());
-    let unit = patch_size / 2.0;
-    let camera = photo.shot.camera.map(|value| value / unit);
-    let light = photo.shot.light.map(|value| value / unit);
-    // Radiance of the white surface where light falls straight on it from the distance 1.
-    let white = photo.shot.light_intensity.map(|value| value / (unit * unit * PI));
-    let ratio_max = (RATIO_MAX.powf(GAMMA)) as f32;
-    let root = (1.0 / GAMMA) as f32;
-
+    let view = PhotoView::new(&photo.shot, patch_size);
     let mut out = pool.take(layout.len());
     out.par_chunks_mut(layout.band_len()).enumerate().for_each(|(band, out)| {
         out.fill(0.0);
@@ -41,27 +34,59 @@ pub(super) fn planes(photo: &Photo, patch_size: f64, layout: Layout, pool: &Pool
             let start = (row - rows.start) * layout.width;
             for column in 0..width {
                 let x = ((column as f64 + 0.5) / width as f64 - 0.5) * 2.0;
-                let (to_light, distance2) = direction(light, x, y);
-                let (view, _) = direction(camera, x, y);
-                let sum = [0, 1, 2].map(|axis| view[axis] + to_light[axis]);
-                let half = scaled(sum, 1.0 / square(sum).max(1e-30).sqrt());
-                let falloff = to_light[2].max(0.0) / distance2;
                 let pixel = row * width + column;
                 let values = &photo.image.data()[3 * pixel..3 * pixel + 3];
-                let mut set = |channel: usize, value: f32| out[channel * plane + start + column] = value;
-                for channel in 0..3 {
-                    let linear = values[channel].clamp(0.0, 1.0);
-                    let ratio = linear / (white[channel] * falloff).max(WHITE_MIN) as f32;
-                    set(channel, linear.powf(root));
-                    set(3 + channel, ratio.clamp(RATIO_MIN, ratio_max).powf(root));
-                    set(7 + channel, to_light[channel] as f32);
-                    set(10 + channel, half[channel] as f32);
+                let linear = [values[0], values[1], values[2]];
+                let planes = view.planes(linear, photo.saturated[pixel] != 0, x, y);
+                for (channel, value) in planes.into_iter().enumerate() {
+                    out[channel * plane + start + column] = value;
                 }
-                set(6, if photo.saturated[pixel] == 0 { 0.0 } else { 1.0 });
             }
         }
     });
     Planes::of(out, layout)
+}
+
+/// A shot as the network sees it: half the width of the patch is the unit of length.
+pub(crate) struct PhotoView {
+    camera: [f64; 3],
+    light: [f64; 3],
+    /// Radiance of the white surface where light falls straight on it from the distance 1.
+    white: [f64; 3],
+}
+
+impl PhotoView {
+    pub fn new(shot: &Shot, patch_size: f64) -> Self {
+        let unit = patch_size / 2.0;
+        Self {
+            camera: shot.camera.map(|value| value / unit),
+            light: shot.light.map(|value| value / unit),
+            white: shot.light_intensity.map(|value| value / (unit * unit * PI)),
+        }
+    }
+
+    /// What the network sees of the pixel at (x, y) that shows `linear` radiance, in the order of [`planes`].
+    #[inline]
+    pub fn planes(&self, linear: [f32; 3], saturated: bool, x: f64, y: f64) -> [f32; INPUTS] {
+        let ratio_max = RATIO_MAX.powf(GAMMA) as f32;
+        let root = (1.0 / GAMMA) as f32;
+        let (to_light, distance2) = direction(self.light, x, y);
+        let (view, _) = direction(self.camera, x, y);
+        let sum = [0, 1, 2].map(|axis| view[axis] + to_light[axis]);
+        let half = scaled(sum, 1.0 / square(sum).max(1e-30).sqrt());
+        let falloff = to_light[2].max(0.0) / distance2;
+        let mut out = [0.0; INPUTS];
+        for channel in 0..3 {
+            let linear = linear[channel].clamp(0.0, 1.0);
+            let ratio = linear / (self.white[channel] * falloff).max(WHITE_MIN) as f32;
+            out[channel] = linear.powf(root);
+            out[3 + channel] = ratio.clamp(RATIO_MIN, ratio_max).powf(root);
+            out[7 + channel] = to_light[channel] as f32;
+            out[10 + channel] = half[channel] as f32;
+        }
+        out[6] = f32::from(u8::from(saturated));
+        out
+    }
 }
 
 fn square(v: [f64; 3]) -> f64 {

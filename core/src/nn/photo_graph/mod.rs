@@ -7,6 +7,8 @@ mod hints;
 mod input;
 mod net;
 mod rounds;
+#[cfg(feature = "train")]
+mod train;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,10 +24,15 @@ use crate::capture::Capture;
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
 use crate::maps::{Lobe, Maps};
+pub(crate) use config::INPUTS;
 pub use config::PhotoGraphConfig;
-use config::{HINTS, INPUTS, RAW_PLANES};
+use config::{HINTS, RAW_PLANES};
+#[cfg(feature = "train")]
+pub(crate) use input::PhotoView;
 use net::{Net, Output};
 use rounds::DIRECTIONS;
+#[cfg(feature = "train")]
+pub(crate) use train::Trainable;
 
 /// A network that takes any number of photos with the places of camera and light, and gives raw maps and how certain they are.
 ///

@@ -1,5 +1,8 @@
 //! The photo graph, put together from operations; no gradients.
 
+use dfdx::tensor::{Cpu, Tape};
+use rayon::prelude::*;
+
 use super::config::{HINTS, LOG_SIGMA, PhotoGraphConfig};
 use super::hints::Hints;
 use super::rounds::{DIRECTIONS, Node, Pooling, Round};
@@ -13,18 +16,16 @@ use crate::nn::ops::{conv3x3, pixel_shuffle, pixel_unshuffle, pointwise};
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Param, Planes, Pool};
 
-use rayon::prelude::*;
-
 /// First plane of a photo's directions.
-const FIRST_DIRECTION: usize = 7;
+pub(super) const FIRST_DIRECTION: usize = 7;
 /// Values of an image from which on freed memory goes back to the system between operations, instead of waiting for the next: getting it again
 /// is then little work beside the operation's.
 const LARGE: usize = 1 << 24;
 
 /// A block and a 3x3 convolution.
-struct Adapter<E: Scalar> {
-    block: Block<E>,
-    end: Layer<E>,
+pub(super) struct Adapter<E: Scalar> {
+    pub block: Block<E>,
+    pub end: Layer<E>,
 }
 
 impl<E: Scalar> Adapter<E> {
@@ -39,30 +40,30 @@ impl<E: Scalar> Adapter<E> {
 }
 
 /// A level of the trunk: blocks, the way down, the way up, blocks.
-struct Level<E: Scalar> {
-    encoder: Blocks<E>,
-    down: Layer<E>,
-    up: Param<E>,
-    decoder: Blocks<E>,
+pub(super) struct Level<E: Scalar> {
+    pub encoder: Blocks<E>,
+    pub down: Layer<E>,
+    pub up: Param<E>,
+    pub decoder: Blocks<E>,
 }
 
 /// The layers of a photo graph; the names are those of a weights file.
 pub(super) struct Net<E: Scalar> {
-    intro: Layer<E>,
-    stem: Blocks<E>,
-    fold: Layer<E>,
-    node: Blocks<E>,
-    rounds: Vec<Round<E>>,
-    entry: Layer<E>,
+    pub intro: Layer<E>,
+    pub stem: Blocks<E>,
+    pub fold: Layer<E>,
+    pub node: Blocks<E>,
+    pub rounds: Vec<Round<E>>,
+    pub entry: Layer<E>,
     /// Half resolution first.
-    levels: Vec<Level<E>>,
-    middle: Blocks<E>,
-    unfold: Param<E>,
-    skip: Layer<E>,
-    tail: Blocks<E>,
-    ending: Layer<E>,
-    adapters: Vec<Adapter<E>>,
-    certainty: Adapter<E>,
+    pub levels: Vec<Level<E>>,
+    pub middle: Blocks<E>,
+    pub unfold: Param<E>,
+    pub skip: Layer<E>,
+    pub tail: Blocks<E>,
+    pub ending: Layer<E>,
+    pub adapters: Vec<Adapter<E>>,
+    pub certainty: Adapter<E>,
 }
 
 /// What a run gives: planes of the size that was asked for, one after the other.
@@ -72,7 +73,7 @@ pub(super) struct Output<E> {
 }
 
 /// A 2x2 convolution of stride 2.
-fn half<E: Scalar>(x: Planes<E>, layer: &Layer<E>) -> Result<Planes<E>> {
+pub(super) fn half<E: Scalar, T: Tape<E, Cpu>>(x: Planes<E, T>, layer: &Layer<E>) -> Result<Planes<E, T>> {
     pointwise(pixel_unshuffle(x)?, &layer.weight, Some(&layer.bias))
 }
 
@@ -251,15 +252,7 @@ impl<E: Scalar> Net<E> {
         x = run_blocks(x, &self.tail, window, control)?;
         control.poll()?;
         let mut log_sigma = self.certainty.run(x.branch(), window)?.into_buffer();
-        let (low, high) = (E::of(LOG_SIGMA[0]), E::of(LOG_SIGMA[1]));
-        // Not a number stays what it is.
-        log_sigma.par_iter_mut().for_each(|value| {
-            if *value < low {
-                *value = low;
-            } else if *value > high {
-                *value = high;
-            }
-        });
+        log_sigma.par_iter_mut().for_each(|value| *value = bounded_log_sigma(*value));
         let log_sigma = Planes::of(log_sigma, x.layout.with_channels(super::config::RAW_PLANES))?;
         let feature = conv3x3(x, 1, &self.ending.weight, &self.ending.bias)?;
         let adapt = |adapter: &Adapter<E>| {
@@ -270,13 +263,25 @@ impl<E: Scalar> Net<E> {
     }
 }
 
+/// A logarithm of a standard deviation within its bounds; not a number stays what it is.
+pub(super) fn bounded_log_sigma<E: Scalar>(value: E) -> E {
+    let (low, high) = (E::of(LOG_SIGMA[0]), E::of(LOG_SIGMA[1]));
+    if value < low {
+        low
+    } else if value > high {
+        high
+    } else {
+        value
+    }
+}
+
 /// The layout of half the resolution.
 fn half_layout(layout: Layout) -> Layout {
     Layout { height: layout.height / 2, width: layout.width / 2, ..layout }
 }
 
 /// Planes `first..first + count`, averaged over 2x2 pixels.
-fn halved<E: Scalar>(x: &Planes<E>, first: usize, count: usize) -> Result<Planes<E>> {
+pub(super) fn halved<E: Scalar>(x: &Planes<E>, first: usize, count: usize) -> Result<Planes<E>> {
     let (from, quarter) = (x.layout, E::of(0.25));
     let to = half_layout(from).with_channels(count);
     let mut out = x.pool().take(to.len());

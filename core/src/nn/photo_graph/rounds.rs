@@ -16,17 +16,17 @@ pub(super) const DIRECTIONS: usize = 6;
 
 /// One round of messages between the photos, and the block that each passes through after it.
 pub(super) struct Round<E: Scalar> {
-    heads: usize,
-    norm: Layer<E>,
-    query: Layer<E>,
-    key: Layer<E>,
-    value: Layer<E>,
-    out: Layer<E>,
+    pub heads: usize,
+    pub norm: Layer<E>,
+    pub query: Layer<E>,
+    pub key: Layer<E>,
+    pub value: Layer<E>,
+    pub out: Layer<E>,
     /// Weights of the likeness of half vectors and of light directions, (heads, 2).
-    pair: Param<E>,
+    pub pair: Param<E>,
     /// Added to a head's edges from a photo to itself.
-    own: Param<E>,
-    gain: Param<E>,
+    pub own: Param<E>,
+    pub gain: Param<E>,
     pub block: Block<E>,
 }
 
