@@ -64,11 +64,7 @@ pub struct PyMaterial {
 }
 
 impl PyMaterial {
-    fn deviation<'py>(
-        &self,
-        py: Python<'py>,
-        image: fn(&Deviations) -> &Image,
-    ) -> PyResult<Option<ImageArray<'py>>> {
+    fn deviation<'py>(&self, py: Python<'py>, image: fn(&Deviations) -> &Image) -> PyResult<Option<ImageArray<'py>>> {
         self.deviations.as_ref().map(|deviations| ImageArray::view(py, deviations, image)).transpose()
     }
 

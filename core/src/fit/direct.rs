@@ -34,15 +34,12 @@ const PHOTO_DEVIATION: f64 = 0.2;
 const SLOPE_DEVIATION: f64 = 0.01;
 /// Standard deviation of the common tilt, as a slope: a few degrees.
 const TILT_DEVIATION: f64 = 0.1;
-/// Standard deviation of what a row (a column) of pixels shares of the slope along y (x), and how many pixels its prior counts as.
-const PROFILE_DEVIATION: f64 = 0.05;
-const PROFILE_EVIDENCE: f64 = 2.0;
-/// Photos left out at most, one at a time, to choose a [`Relief`]; pixels along the longer side, and steps, of those fits.
+/// Photos left out at most, one at a time, to choose between a flat surface and a given relief; pixels along the longer side, and steps, of those fits.
 const REHEARSALS: usize = 3;
 const REHEARSAL_SIZE: usize = 64;
 const REHEARSAL_STEPS: usize = 100;
-/// Share of the error that another relief than a flat one has to take away from it.
-const REHEARSAL_GAIN: f64 = 0.03;
+/// Share of the flat surface's error that the relief has to take away.
+const REHEARSAL_GAIN: f64 = 0.2;
 /// Standard deviation of a pixel's specular albedo and roughness from its group's, in logits.
 const OWN_DEVIATION: f64 = 0.2;
 /// Standard deviation of a pixel's diffuse albedo from its start, in logits: weak, decides only where no photo does.
@@ -63,27 +60,17 @@ const LEARNING_RATE: f64 = 0.03;
 const GROUP_STEP: f32 = 2.0;
 const TILT_STEP: f32 = 1.0 / 3.0;
 
-/// What a surface does beside leaning as a whole.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Relief {
-    /// Nothing much.
-    Flat,
-    /// Rows share slopes along y, columns slopes along x: planks, tiles, folds that run along the picture's sides.
-    Profiles,
-    /// That of slopes that are given, two planes.
-    Given,
-}
-
 /// Fits isotropic maps to all photos of `capture`.
 ///
-/// `slopes`: two planes of slopes that the surface may have. Whether it has them is chosen by predicting photos that are left out.
+/// `relief`: two planes of slopes that the surface may have beside leaning as a whole. Whether it has them or is flat is chosen by predicting
+/// photos that are left out.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the photos' loss is not finite at the start.
 pub(crate) fn fit_direct(
     capture: &Capture,
     targets: &[Target],
-    slopes: Option<&[f32]>,
+    relief: Option<&[f32]>,
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
@@ -92,43 +79,42 @@ pub(crate) fn fit_direct(
     let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
     control.report(Stage::Direct, 0, steps, None)?;
     let mut problem = Problem::new(capture, targets, options.seed)?;
-    if let Some(slopes) = slopes.filter(|_| capture.len() > 2) {
-        problem.relief = rehearse(capture, slopes, options.seed, control)?;
-        problem.slopes = slopes.to_vec();
-        tracing::debug!("relief: {:?}", problem.relief);
+    if let Some(relief) = relief.filter(|_| capture.len() > 2)
+        && predicts_better(relief, capture, options.seed, control)?
+    {
+        problem.relief = Some(relief.to_vec());
     }
     let (maps, descent) = problem.fit(steps, control)?;
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
     Ok(maps)
 }
 
-/// The relief with which photos that are left out are predicted best, on a part of the pixels.
-fn rehearse(capture: &Capture, slopes: &[f32], seed: u64, control: &mut Control<'_>) -> Result<Relief> {
+/// Whether photos that are left out are predicted better with `relief` than from a flat surface, on a part of the pixels.
+fn predicts_better(relief: &[f32], capture: &Capture, seed: u64, control: &mut Control<'_>) -> Result<bool> {
     let (capture, pick) = thinned(capture)?;
-    let pixels = slopes.len() / 2;
+    let pixels = relief.len() / 2;
     let all: Vec<Target> = super::targets(&capture)?;
     let (count, folds) = (all.len(), all.len().min(REHEARSALS));
     let left_out: Vec<usize> = (0..folds).map(|fold| fold * count / folds).collect();
     let rests: Vec<Vec<Target>> =
         left_out.iter().map(|&without| [&all[..without], &all[without + 1..]].concat()).collect();
     let mut problem = Problem::new(&capture, &all, seed)?;
-    problem.slopes = (0..2).flat_map(|c| pick.iter().map(move |&p| slopes[c * pixels + p])).collect();
-    let mut errors = [0.0; 3];
-    let reliefs = [Relief::Flat, Relief::Profiles, Relief::Given];
-    for (relief, error) in reliefs.into_iter().zip(&mut errors) {
+    let mut error = |relief: Option<Vec<f32>>| -> Result<f64> {
         problem.relief = relief;
+        let mut error = 0.0;
         for (rest, &without) in rests.iter().zip(&left_out) {
             control.poll()?;
             problem.targets = rest;
             let mut silent = |_: &Progress| ControlFlow::Continue(());
             let (maps, _) = problem.fit(REHEARSAL_STEPS, &mut Control::new(&mut silent, CancelToken::new()))?;
-            *error += photo_loss(&maps, problem.patch_size, &all[without..=without], None)?;
+            error += photo_loss(&maps, problem.patch_size, &all[without..=without], None)?;
         }
-    }
-    tracing::debug!("photos left out: {errors:?}");
-    let flat = errors[0];
-    let best = reliefs.into_iter().zip(errors).min_by(|a, b| a.1.total_cmp(&b.1));
-    Ok(best.filter(|best| best.1 < (1.0 - REHEARSAL_GAIN) * flat).map_or(Relief::Flat, |best| best.0))
+        Ok(error)
+    };
+    let flat = error(None)?;
+    let bumpy = error(Some((0..2).flat_map(|c| pick.iter().map(move |&p| relief[c * pixels + p])).collect()))?;
+    tracing::debug!("photos left out, flat and with the network's relief: {flat:.3}, {bumpy:.3}");
+    Ok(bumpy < (1.0 - REHEARSAL_GAIN) * flat)
 }
 
 /// Every so many pixels of `capture`, and which they are.
@@ -155,7 +141,6 @@ fn thinned(capture: &Capture) -> Result<(Capture, Vec<usize>)> {
 /// Where each kind of parameter lies in the flat vector that Adam moves.
 #[derive(Clone, Copy)]
 struct Layout {
-    width: usize,
     pixels: usize,
     groups: usize,
 }
@@ -179,14 +164,8 @@ impl Layout {
     const fn tilt(self) -> usize {
         self.roughness_group() + self.groups
     }
-    const fn columns(self) -> usize {
-        self.tilt() + 2
-    }
-    const fn rows(self) -> usize {
-        self.columns() + self.width
-    }
     const fn len(self) -> usize {
-        self.rows() + self.pixels / self.width
+        self.tilt() + 2
     }
 }
 
@@ -202,9 +181,8 @@ struct Problem<'a> {
     /// What the groups start from, and the tilt.
     found: Vec<Found>,
     tilt: [f64; 2],
-    relief: Relief,
-    /// The slopes of [`Relief::Given`], two planes.
-    slopes: Vec<f32>,
+    /// Slopes to which those of the pixels are added, two planes.
+    relief: Option<Vec<f32>>,
 }
 
 impl<'a> Problem<'a> {
@@ -214,7 +192,7 @@ impl<'a> Problem<'a> {
         let albedo = diffuse_start(capture);
         let encoded: Vec<f32> = albedo.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
         let (memberships, groups) = soft_groups(&encoded, pixels, GROUPS, seed);
-        let layout = Layout { width, pixels, groups };
+        let layout = Layout { pixels, groups };
         let square = |x: f64| x * x;
         let unit = PHOTO_DEVIATION * PHOTO_DEVIATION;
         let group = unit * GROUP_EVIDENCE / GROUP_DEVIATION.powi(2);
@@ -247,8 +225,7 @@ impl<'a> Problem<'a> {
             diffuse,
             found,
             tilt,
-            relief: Relief::Flat,
-            slopes: Vec::new(),
+            relief: None,
         })
     }
 
@@ -330,18 +307,8 @@ impl<'a> Problem<'a> {
                 let c = plane - NORMAL_PLANE;
                 let slopes = &params[layout.slope() + c * n..][..n];
                 out.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope + tilt[c]);
-                match self.relief {
-                    Relief::Flat => {}
-                    Relief::Profiles => {
-                        let (columns, rows) = params[layout.columns()..].split_at(layout.width);
-                        for (line, of_row) in out.chunks_exact_mut(layout.width).zip(rows) {
-                            match c {
-                                0 => line.iter_mut().zip(columns).for_each(|(out, shared)| *out += shared),
-                                _ => line.iter_mut().for_each(|out| *out += of_row),
-                            }
-                        }
-                    }
-                    Relief::Given => out.iter_mut().zip(&self.slopes[c * n..]).for_each(|(out, given)| *out += given),
+                if let Some(relief) = &self.relief {
+                    out.iter_mut().zip(&relief[c * n..]).for_each(|(out, slope)| *out += slope);
                 }
             } else if plane < ROUGHNESS_PLANE {
                 out.fill(1.0);
@@ -385,18 +352,6 @@ impl<'a> Problem<'a> {
             let values = slopes.plane(NORMAL_PLANE + c);
             gradient[layout.slope() + c * n..][..n].copy_from_slice(values);
             gradient[layout.tilt() + c] = sum(values.iter().copied()) * TILT_STEP;
-            let (columns, rows) = gradient[layout.columns()..].split_at_mut(layout.width);
-            let shared = if c == 0 { columns } else { rows };
-            shared.fill(0.0);
-            if self.relief != Relief::Profiles {
-                continue;
-            }
-            for (line, of_row) in values.chunks_exact(layout.width).zip(0..) {
-                match c {
-                    0 => shared.iter_mut().zip(line).for_each(|(sum, slope)| *sum += slope),
-                    _ => shared[of_row] = sum(line.iter().copied()),
-                }
-            }
         }
         let own = &mut gradient[layout.specular_own()..layout.roughness_own()];
         for (p, own) in own.iter_mut().enumerate() {
@@ -424,8 +379,7 @@ impl<'a> Problem<'a> {
             (layout.slope()..layout.specular_own(), None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
             (layout.specular_own()..layout.specular_group(), None, 1.0, unit / OWN_DEVIATION.powi(2)),
             (layout.specular_group()..layout.tilt(), None, GROUP_STEP, group_unit),
-            (layout.columns()..layout.len(), None, 1.0, PROFILE_EVIDENCE * unit / PROFILE_DEVIATION.powi(2)),
-            (layout.tilt()..layout.columns(), None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
+            (layout.tilt()..layout.len(), None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
         ];
         let mut total = 0.0;
         for (range, mean, step, weight) in terms {

@@ -417,10 +417,8 @@ impl Material {
         };
         let mut write_deviation = |map: Map, image: &Image| {
             let name = options.format.deviation_name(map);
-            let (size, expected) = (
-                [image.height(), image.width(), image.channels()],
-                [maps.height(), maps.width(), 1],
-            );
+            let (size, expected) =
+                ([image.height(), image.width(), image.channels()], [maps.height(), maps.width(), 1]);
             if size != expected {
                 return Err(Error::shape(name, format!("shape {expected:?}"), format!("{size:?}")));
             }
@@ -553,7 +551,9 @@ pub fn read_deviations(folder: impl AsRef<Path>) -> Result<Option<Deviations>> {
             return Err(Error::shape(path.display().to_string(), format!("shape {expected:?}"), format!("{size:?}")));
         }
         match image.data().iter().find(|value| !(value.is_finite() && **value >= 0.0)) {
-            Some(value) => Err(Error::invalid(path.display().to_string(), format!("expected values from 0, got {value}"))),
+            Some(value) => {
+                Err(Error::invalid(path.display().to_string(), format!("expected values from 0, got {value}")))
+            }
             None => Ok(image),
         }
     };
@@ -571,7 +571,8 @@ fn remove_replaced(folder: &Path, old: &MaterialFile, new: &MaterialFile) {
     let named = |file: &str, format: MaterialFormat, map: Map| {
         file == format.file_name(map) || file == format.deviation_name(map)
     };
-    let ours = |file: &str| MaterialFormat::ALL.iter().any(|&format| Map::ALL.iter().any(|&map| named(file, format, map)));
+    let ours =
+        |file: &str| MaterialFormat::ALL.iter().any(|&format| Map::ALL.iter().any(|&map| named(file, format, map)));
     for file in old.files() {
         if !ours(file) || new.files().any(|kept| kept == file) {
             continue;

@@ -16,8 +16,8 @@ use crate::capture::{Capture, Photo};
 use crate::error::{Error, Result};
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
-use crate::render::encode_radiance;
 use crate::fit::shading::{FLAT_LIMIT, NORMAL, RAW, ROUGHNESS, SPECULAR, Sight, Surface};
+use crate::render::encode_radiance;
 use solve::Cholesky;
 
 /// Candidates for the standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
@@ -301,7 +301,8 @@ impl<'a> Problem<'a> {
             out.raw.push(raw.map(|value| value as f32));
             // Around its minimum the cost is that of a Gaussian with this inverse covariance; a matrix that has none says no more than the prior.
             let variances = Cholesky::new(&last.matrix).map(|cholesky| cholesky.inverse_diagonal());
-            out.deviation.push(variances.unwrap_or(prior.weight.map(f64::recip)).map(|variance| variance.sqrt() as f32));
+            out.deviation
+                .push(variances.unwrap_or(prior.weight.map(f64::recip)).map(|variance| variance.sqrt() as f32));
         }
         out
     }
