@@ -112,6 +112,14 @@ struct Compared {
     slopes: [f64; 5],
 }
 
+/// How far the network's maps take the place of those so far.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Network {
+    Nowhere,
+    Normals,
+    Everywhere,
+}
+
 /// What is believed how much.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Trust {
@@ -120,15 +128,15 @@ struct Trust {
     /// Shares of the network's deviation that are believed, in normals, and in specular albedo and roughness.
     normal: f64,
     specular: f64,
-    /// Whether normals are expected as the network has them.
-    network_normals: bool,
+    /// What is expected as the network has it.
+    network: Network,
     /// A photo that does not count.
     without: Option<usize>,
 }
 
 impl Trust {
     /// Where the search begins, and what a single photo gets.
-    const START: Self = Self { photo: 0.025, normal: 0.3, specular: 0.3, network_normals: false, without: None };
+    const START: Self = Self { photo: 0.025, normal: 0.3, specular: 0.3, network: Network::Nowhere, without: None };
 }
 
 impl<'a> Problem<'a> {
@@ -149,7 +157,11 @@ impl<'a> Problem<'a> {
         let n = self.pixels();
         let mut prior = Prior { mean: [0.0; RAW], weight: [0.0; RAW] };
         for i in 0..RAW {
-            let of_network = trust.network_normals && (NORMAL..ROUGHNESS).contains(&i);
+            let of_network = match trust.network {
+                Network::Nowhere => false,
+                Network::Normals => (NORMAL..ROUGHNESS).contains(&i),
+                Network::Everywhere => true,
+            };
             let mean = if of_network { self.start.network } else { self.start.raw };
             prior.mean[i] = f64::from(mean[i * n + pixel]);
             let share = match i {
@@ -321,16 +333,33 @@ impl<'a> Problem<'a> {
 
     /// The trust with which photos that are left out are predicted best, found one value after the other.
     fn choose(&self, control: &mut Control<'_>) -> Result<Trust> {
-        let mut best = Trust::START;
         if self.views.len() < 2 {
-            return Ok(best);
+            return Ok(Trust::START);
         }
         let sample = self.sample(CHOICE_PIXELS);
-        let mut lowest = self.left_out_error(best, &sample);
+        let mut best = (f64::INFINITY, Trust::START);
+        // The maps so far have seen all photos, which speaks for them: the network has to be better in spite of that.
+        for network in [Network::Nowhere, Network::Everywhere] {
+            let found = self.search(Trust { network, ..Trust::START }, &sample, control)?;
+            if found.0 < best.0 {
+                best = found;
+            }
+        }
+        Ok(best.1)
+    }
+
+    /// From `best` on, the trust with the least error of photos that are left out, one value after the other; and that error.
+    fn search(&self, mut best: Trust, sample: &[(usize, Vec<Sight>)], control: &mut Control<'_>) -> Result<(f64, Trust)> {
+        let mut lowest = self.left_out_error(best, sample);
         type Set = fn(&mut Trust, f64);
+        let normals: Set = |trust, _| {
+            if trust.network == Network::Nowhere {
+                trust.network = Network::Normals;
+            }
+        };
         let searches: [(&[f64], Set); 5] = [
             (&PHOTO_DEVIATIONS, |trust, value| trust.photo = value),
-            (&[1.0], |trust, _| trust.network_normals = true),
+            (&[1.0], normals),
             (&SHARES, |trust, value| trust.normal = value),
             (&SHARES, |trust, value| trust.specular = value),
             (&PHOTO_DEVIATIONS, |trust, value| trust.photo = value),
@@ -343,13 +372,13 @@ impl<'a> Problem<'a> {
                     continue;
                 }
                 control.poll()?;
-                let error = self.left_out_error(trust, &sample);
+                let error = self.left_out_error(trust, sample);
                 if error < lowest {
                     (lowest, best) = (error, trust);
                 }
             }
         }
-        Ok(best)
+        Ok((lowest, best))
     }
 
     /// Mean squared error of photos that are left out one at a time, on the pixels of `sample`.
@@ -414,6 +443,7 @@ pub(crate) fn finish(
     let problem = Problem { capture, views, start, roughness_floor };
 
     let trust = problem.choose(control)?;
+    tracing::debug!("{trust:?}");
     control.report(Stage::Finish, 1, 2, None)?;
 
     let mut rows: Vec<Row> = Vec::with_capacity(height);
