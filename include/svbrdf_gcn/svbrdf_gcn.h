@@ -247,6 +247,22 @@ enum svbrdf_gcn_map_kind
    * Unit tangent of an anisotropic material, 3 channels, -1 to 1.
    */
   SVBRDF_GCN_MAP_TANGENT = 4,
+  /**
+   * Standard deviation of the diffuse albedo (root mean square over colours), 1 channel; of materials that a fit with the default network made.
+   */
+  SVBRDF_GCN_MAP_DIFFUSE_ALBEDO_DEVIATION = 5,
+  /**
+   * Likewise of the specular albedo.
+   */
+  SVBRDF_GCN_MAP_SPECULAR_ALBEDO_DEVIATION = 6,
+  /**
+   * Likewise of the roughness.
+   */
+  SVBRDF_GCN_MAP_ROUGHNESS_DEVIATION = 7,
+  /**
+   * Likewise of the normal: about an angle in radians.
+   */
+  SVBRDF_GCN_MAP_NORMAL_DEVIATION = 8,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -867,7 +883,8 @@ void svbrdf_gcn_material_destroy(struct svbrdf_gcn_material *material);
 
 /**
  * A view of a map (`map_kind` is a `svbrdf_gcn_map_kind`): packed floats that live as long as the material. Set `out->struct_size` first
- * (`svbrdf_gcn_image_view_init`). An isotropic material has no tangent; asking for it is `SVBRDF_GCN_ERR_INVALID_ARGUMENT`.
+ * (`svbrdf_gcn_image_view_init`). An isotropic material has no tangent; asking for it is `SVBRDF_GCN_ERR_INVALID_ARGUMENT`, as it
+ * is for a deviation that is not known.
  */
 svbrdf_gcn_status svbrdf_gcn_material_map(const struct svbrdf_gcn_material *material, int32_t map_kind, struct svbrdf_gcn_image_view *out);
 

@@ -251,11 +251,10 @@ mod tests {
             for shot in shots() {
                 let sight = Sight::new(&shot, 0.3, -0.4);
                 let parts = sight.parts(surface.normal, surface.alpha);
-                let code = sight.look(&surface).code;
-                for c in 0..3 {
+                for (c, code) in sight.look(&surface).code.into_iter().enumerate() {
                     let (d, s) = (surface.diffuse[c], surface.specular[c]);
                     let sum = parts.diffuse[c] * d * (1.0 - s) + parts.specular[c] * (s + (1.0 - s) * parts.fresnel);
-                    let expected = code[c].powf(2.2);
+                    let expected = code.powf(2.2);
                     assert!((sum - expected).abs() < 1e-6 * (1e-3 + expected), "{sum} {expected}");
                 }
             }

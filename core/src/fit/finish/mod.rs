@@ -349,7 +349,12 @@ impl<'a> Problem<'a> {
     }
 
     /// From `best` on, the trust with the least error of photos that are left out, one value after the other; and that error.
-    fn search(&self, mut best: Trust, sample: &[(usize, Vec<Sight>)], control: &mut Control<'_>) -> Result<(f64, Trust)> {
+    fn search(
+        &self,
+        mut best: Trust,
+        sample: &[(usize, Vec<Sight>)],
+        control: &mut Control<'_>,
+    ) -> Result<(f64, Trust)> {
         let mut lowest = self.left_out_error(best, sample);
         type Set = fn(&mut Trust, f64);
         let normals: Set = |trust, _| {
