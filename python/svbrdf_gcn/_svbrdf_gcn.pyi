@@ -266,6 +266,13 @@ class Material:
         """
         Diffuse albedo: linear RGB from 0 to 1, a read-only array of shape (H, W, 3).
         """
+    @property
+    def diffuse_albedo_deviation(self, /) -> NDArray[float32] | None:
+        """
+        Standard deviation of the diffuse albedo (linear, root mean square over colours), a read-only array of shape (H, W, 1); None if not known.
+
+        How often the truth lies within one such deviation is measured in ``docs/accuracy.md``.
+        """
     def export(self, /, folder: str | PathLike[str], *, to: str, name: str = "material", normals: str | None = None) -> dict[str, Any]:
         """
         Write the material for another program.
@@ -348,6 +355,11 @@ class Material:
         Unit normals, +x right, +y up, +z out of the surface: a read-only array of shape (H, W, 3).
         """
     @property
+    def normal_deviation(self, /) -> NDArray[float32] | None:
+        """
+        Standard deviation of the normal, about an angle in radians: a read-only array of shape (H, W, 1); None if not known.
+        """
+    @property
     def patch_size(self, /) -> float:
         """
         Width of the maps in the unit of the capture.
@@ -412,6 +424,11 @@ class Material:
         """
         Perceptual roughness from 0 to 1: a read-only array of shape (H, W, 1), or (H, W, 2) if anisotropic.
         """
+    @property
+    def roughness_deviation(self, /) -> NDArray[float32] | None:
+        """
+        Standard deviation of the roughness, a read-only array of shape (H, W, 1); None if not known.
+        """
     def save(self, /, folder: str | PathLike[str], *, format: str = "exr", color_space: str = "rec709") -> None:
         """
         Write the maps and ``material.json`` to a folder, which is made if it is not there.
@@ -444,6 +461,11 @@ class Material:
     def specular_albedo(self, /) -> NDArray[float32]:
         """
         Specular albedo (reflectance at normal incidence, F0): linear RGB from 0 to 1, a read-only array of shape (H, W, 3).
+        """
+    @property
+    def specular_albedo_deviation(self, /) -> NDArray[float32] | None:
+        """
+        Standard deviation of the specular albedo (linear, root mean square over colours), a read-only array of shape (H, W, 1); None if not known.
         """
     @property
     def tangent(self, /) -> NDArray[float32] | None:
