@@ -30,6 +30,16 @@ def map_errors(maps, truth):
     return errors
 
 
+def covered(maps, deviations, truth):
+    """The share of pixels whose error, for colours its root mean square, is within one standard deviation, by letter of the map."""
+    out = {}
+    for letter, kind in MAPS.items():
+        off = getattr(maps, kind) - getattr(truth, kind)
+        error = np.hypot(off[..., :1], off[..., 1:2]) if letter == "N" else np.sqrt((off**2).mean(-1, keepdims=True))
+        out[letter] = float((error <= deviations[kind]).mean())
+    return out
+
+
 def flip(picture, reference):
     """Mean FLIP (LDR, 67 pixels a degree) of linear pictures in [0, 1]."""
     clamped = [np.clip(x, 0, 1).astype(np.float32) for x in (reference, picture)]

@@ -165,6 +165,12 @@ def real_tests(name):
     return shots
 
 
+def load_deviations(folder):
+    """Standard deviations (H, W, 1) of the maps that `svbrdf-gcn fit --format tiff` wrote, by kind; None where it does not know them."""
+    named = json.loads((folder / "material.json").read_text()).get("deviations")
+    return named and {kind: tifffile.imread(folder / file).astype(np.float64)[..., None] for kind, file in named.items()}
+
+
 def load_fit(folder):
     """Maps and patch size that `svbrdf-gcn fit --format tiff` wrote."""
     described = json.loads((folder / "material.json").read_text())

@@ -37,6 +37,17 @@ def maps(seed=1, size=24):
     return Maps(rng.uniform(size=(size, size, 3)), normal, rng.uniform(0.2, 1, (size, size, 1)), rng.uniform(0, 0.3, (size, size, 3)))
 
 
+def test_shares_within_a_deviation():
+    truth = maps()
+    rng = np.random.default_rng(2)
+    spread = {"diffuse": 0.01, "normal": 0.02, "roughness": 0.03, "specular": 0.04}
+    fitted = Maps(*(getattr(truth, kind) + rng.normal(0, spread[kind], getattr(truth, kind).shape) for kind in ("diffuse", "normal", "roughness", "specular")))
+    deviations = {kind: np.full((24, 24, 1), value * (2**0.5 if kind == "normal" else 1)) for kind, value in spread.items()}
+    shares = metrics.covered(fitted, deviations, truth)
+    for letter, expected in zip("DNRS", (0.61, 0.63, 0.68, 0.61), strict=True):
+        assert abs(shares[letter] - expected) < 0.06, (letter, shares)
+
+
 def test_renderer_gives_the_expected_radiance():
     points = tensors(FIXTURES / "brdf" / "isotropic.safetensors")
     for i in range(len(points["radiance"])):
