@@ -52,6 +52,8 @@ const ROUGHNESS_LOGIT: f32 = 0.0;
 const GROUP_DEVIATION: f64 = 2.0;
 /// The prior of a group counts as if this share of its pixels spoke for it.
 const GROUP_EVIDENCE: f64 = 0.002;
+/// In the search before the descent it counts as if this share did: a lobe that no photo shows must not be made up from noise.
+const SEARCH_EVIDENCE: f64 = 0.04;
 /// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
 const ROUGHNESS_MIN: f32 = 0.02;
 /// Adam's step length in the logits and slopes of pixels.
@@ -195,7 +197,7 @@ impl<'a> Problem<'a> {
         let layout = Layout { pixels, groups };
         let square = |x: f64| x * x;
         let unit = PHOTO_DEVIATION * PHOTO_DEVIATION;
-        let group = unit * GROUP_EVIDENCE / GROUP_DEVIATION.powi(2);
+        let group = unit * SEARCH_EVIDENCE / GROUP_DEVIATION.powi(2);
         let off = |value: f64, start: f32| logit(value as f32) - start;
         let prior = Prior {
             specular: &|s| group * square(off(s, SPECULAR_LOGIT).into()),
