@@ -544,7 +544,7 @@ def test_saved_maps_are_those_of_the_command_line(tmp_path):
         material = fit_material(TILES, size=32, preset="draft", threads=2, seed=3)
         material.save(by_python, format=format)
         names = {path.name for path in by_command.iterdir()} - {"preview.png"}
-        assert names == {path.name for path in by_python.iterdir()} and len(names) == 5
+        assert names == {path.name for path in by_python.iterdir()} and len(names) == 9
         for name in names - {"material.json"}:
             assert (by_command / name).read_bytes() == (by_python / name).read_bytes(), name
         described = [json.loads((folder / "material.json").read_text()) for folder in (by_command, by_python)]
