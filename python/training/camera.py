@@ -53,10 +53,18 @@ def draw_geometry(rng, count, photos, height, width, device, family=None, whole=
     Family `near`: distance 2-3, offsets up to 1.2; `real`: distance 3-9, offsets up to 2.4 and 0.45 of the distance; None: both, one to two.
     With probability `collocated` lamp and lens are one (or a few hundredths of the distance apart), else the light stands elsewhere.
     The intensity is such that a white diffuse patch at the centre reads 0.4 to 1.6, one for the whole capture.
+    Family `paper`: as the synthetic literature renders them, 2.146 above the patch, offsets up to 1.2, lamp and lens one; white reads 1 straight below.
     """
 
     def uniform(low, high, *shape):
         return torch.rand(count, *shape, generator=rng) * (high - low) + low
+
+    if family == "paper":
+        distance = torch.full((count, photos), 2.146)
+        radius, angle = 1.2 * uniform(0, 1, photos).sqrt(), uniform(0, 2 * math.pi, photos)
+        camera = torch.stack([radius * torch.cos(angle), radius * torch.sin(angle), distance], -1)
+        intensity = torch.full((count, photos, 3), math.pi * 2.146**2)
+        return Geometry(camera.to(device), camera.to(device), intensity.to(device), pixel_positions(height, width, device=device).expand(count, 3, height, width))
 
     near = torch.full((count,), family == "near") if family else torch.rand(count, generator=rng) < 1 / 3
     distance = torch.where(near, uniform(2, 3), torch.exp(uniform(math.log(3), math.log(9))))
@@ -180,13 +188,17 @@ def photograph(maps, geometry, rng, noise_rng):
     return Capture(pictures, saturated, stated, maps)
 
 
-def network_input(photos, saturated, geometry):
+def network_input(photos, saturated, geometry, directions_known=True):
     """What the network sees of every photo, (B, N, 13, H, W).
 
     Planes: the photo as stored (gamma 2.2), 3; the gamma 2.2 encoding of its ratio to what a white diffuse patch facing +z would show
     under the stated light, 3, at most 4 (for a matt surface this is the code of its albedo times its shading); saturation, 1;
-    direction to the light, 3; half vector, 3. The half vector tells what the view direction would, and where the highlight lies.
+    direction to the light, 3; half vector, 3. The half vector tells what the view direction would, and where the highlight lies. `directions_known=False` leaves
+    the planes that follow from positions 0.
     """
+    if not directions_known:
+        empty = torch.zeros_like(photos)
+        return torch.cat([photos, empty, saturated, empty, empty], 2)
     view, light_dir, half, distance2 = directions(geometry.position, geometry.camera, geometry.light)
     white = geometry.intensity[..., None, None] / distance2 * light_dir[..., 2:3, :, :].clamp_min(0) / math.pi
     ratio = (photos.clamp_min(0) ** GAMMA / white.clamp_min(1e-4)).clamp(1e-6, RATIO_MAX**GAMMA) ** (1 / GAMMA)

@@ -4,6 +4,7 @@ import copy
 import tomllib
 
 import model
+import paper
 
 DEFAULTS = {
     "seed": 1,
@@ -18,11 +19,18 @@ DEFAULTS = {
         "per_group": 6,
         "refresh": 2,
         "size": 320,
+        # What captures are: `any`, with every defect, or `paper`, those of the synthetic literature (`camera.draw_geometry`), without defects.
+        "captures": "any",
+        # Whether the network is shown where camera and light stood; false for the ablation.
+        "directions": True,
     },
     # How often a batch has 1, 2, ... 9 photos, relatively.
     "photos": [3, 2, 2, 4, 2, 0, 2, 0, 1.5],
     # What part of the training runs with which crops; the last size is the model's window.
     "phase": [{"share": 1.0, "size": 128, "batch": 32}],
+    # `photo graph`, with the sizes under `model`, or `paper`, with those under `paper`.
+    "network": "photo graph",
+    "paper": paper.DEFAULT,
     "model": {key: value for key, value in model.DEFAULT.items() if key != "window"},
     "optimiser": {"rate": 1e-3, "final_rate": 1e-6, "warmup": 0.02, "decay": 1e-4, "betas": [0.9, 0.95], "clip": 1.0, "average": 0.999},
     # Weights of the losses: maps and renderings as in the paper, and certainty.
@@ -67,11 +75,23 @@ def load(path, changes=()):
             table = table.setdefault(name, {})
         table[last] = tomllib.loads(f"value = {value}")["value"]
     config = merged(DEFAULTS, given)
+    for key, known, value in (("network", ("photo graph", "paper"), config["network"]), ("data.captures", ("any", "paper"), config["data"]["captures"])):
+        if value not in known:
+            raise ValueError(f"{key}: expected one of {', '.join(known)}, got {value}")
+    if config["network"] == "paper":
+        wanted = config["paper"]["photos"]
+        if config["validation"]["photos"] != [wanted] or [bool(share) for share in config["photos"]] != [False] * (wanted - 1) + [True]:
+            raise ValueError(f"photos, validation.photos: expected captures of {wanted} photos alone, as paper.photos says")
     total = sum(phase["share"] for phase in config["phase"])
     if abs(total - 1) > 1e-6:
         raise ValueError(f"phase.share: expected a sum of 1, got {total}")
     config["model"]["window"] = config["phase"][-1]["size"]
     return config
+
+
+def network(config):
+    """The network of a configuration, with new weights."""
+    return paper.Paper(config["paper"]) if config["network"] == "paper" else model.Model(config["model"])
 
 
 def phase_at(config, progress):

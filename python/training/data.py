@@ -41,5 +41,8 @@ class Data:
         rng, noise_rng = self.generators(step)
         photos = 1 + int(torch.multinomial(torch.tensor(self.config["photos"], dtype=torch.float), 1, generator=rng))
         maps = self.materials(step, count, size, rng)
+        if self.config["data"]["captures"] == "paper":
+            geometry = camera.draw_geometry(rng, count, photos, size, size, self.device, "paper")
+            return camera.Capture(*camera.clean_photos(maps, geometry), geometry, maps), rng
         geometry = camera.draw_geometry(rng, count, photos, size, size, self.device)
         return camera.photograph(maps, geometry, rng, noise_rng), rng

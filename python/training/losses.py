@@ -43,7 +43,7 @@ def map_errors(raw, target):
 
 
 def losses(raw, log_sigma, maps, rng, settings, roughness_floor):
-    """The total and its parts, tensors without synchronisation."""
+    """The total and its parts, tensors without synchronisation. `log_sigma` is None where a network does not say how sure it is."""
     target = encode_maps(maps)
     errors = map_errors(raw, target)
     parts = {name: errors[:, group].mean() for name, group in GROUPS.items()}
@@ -58,10 +58,14 @@ def losses(raw, log_sigma, maps, rng, settings, roughness_floor):
         truth = compress_radiance(render(maps, position, camera, light, intensity))
     parts["rendering"] = (compress_radiance(render(predicted, position, camera, light, intensity)) - truth).abs().mean()
 
-    # Laplace's likelihood of errors whose mean is sqrt(2 / pi) sigma, as for a Gaussian: sigma covers about two thirds.
+    parts["certainty"] = torch.zeros_like(parts["maps"]) if log_sigma is None else certainty(raw, log_sigma, target, roughness_floor)
+    parts["loss"] = sum(settings[name] * parts[name] for name in ("maps", "rendering", "certainty"))
+    return parts
+
+
+def certainty(raw, log_sigma, target, roughness_floor):
+    """Laplace's likelihood of errors whose mean is sqrt(2 / pi) sigma, as for a Gaussian: sigma covers about two thirds."""
     with torch.no_grad():
         limits = torch.cat([raw[:, :3].clamp(-1, 1), raw[:, 3:5], raw[:, 5:6].clamp(roughness_floor, 1), raw[:, 6:].clamp(-1, 1)], 1)
         errors = map_errors(limits, target)
-    parts["certainty"] = (errors * math.sqrt(math.pi / 2) * torch.exp(-log_sigma) + log_sigma).mean()
-    parts["loss"] = sum(settings[name] * parts[name] for name in ("maps", "rendering", "certainty"))
-    return parts
+    return (errors * math.sqrt(math.pi / 2) * torch.exp(-log_sigma) + log_sigma).mean()

@@ -281,9 +281,9 @@ class Model(nn.Module):
         return raw[..., :height, :width], log_sigma[..., :height, :width]
 
 
-def cost(config, photos=4, size=256):
-    """Parameters, and multiply-adds of one run on `photos` photos of `size` x `size`, counted layer by layer."""
-    model, total = Model(config), 0
+def cost(model, photos=4, size=256):
+    """Parameters of a network, and multiply-adds of one run on `photos` photos of `size` x `size`, counted layer by layer."""
+    config, total = model.config, 0
 
     def count(layer, _, out):
         nonlocal total
@@ -297,5 +297,5 @@ def cost(config, photos=4, size=256):
     with torch.no_grad():
         model(torch.zeros(1, photos, INPUTS, small, small))
     # Edges: products of queries with keys, and weighted values.
-    edges = photos**2 * (config["heads"] * config["dim"] + config["node"]) * (small // 2) ** 2 * config["rounds"]
+    edges = 0 if "heads" not in config else photos**2 * (config["heads"] * config["dim"] + config["node"]) * (small // 2) ** 2 * config["rounds"]
     return sum(parameter.numel() for parameter in model.parameters()), (total + edges) * 64

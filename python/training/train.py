@@ -22,7 +22,7 @@ import store
 from data import Data
 from library import open_pack
 from losses import losses
-from model import Model, cost
+from model import cost
 from validate import held_out, summary, validate
 
 STATES = ("model", "average", "moment1", "moment2")
@@ -34,7 +34,7 @@ class Trainer:
     def __init__(self, config, device):
         self.config, self.device = config, device
         torch.manual_seed(config["seed"])
-        self.model = Model(config["model"])
+        self.model = configuration.network(config)
         if config["channels_last"]:
             self.model.memory_format = torch.channels_last
         self.model.to(device, memory_format=self.model.memory_format)
@@ -50,7 +50,7 @@ class Trainer:
         self.optimiser = torch.optim.AdamW(groups, lr=settings["rate"], betas=tuple(settings["betas"]), **fused)
         self.average = {name: p.detach().clone() for name, p in self.named.items()}
         self.step, self.seconds = 0, 0.0
-        if config["compile"] and device.type == "cuda":
+        if config["compile"] and device.type == "cuda" and config["network"] == "photo graph":
             self.model.restore = torch.compile(self.model.restore)
 
     @property
@@ -73,7 +73,7 @@ class Trainer:
         phase = configuration.phase_at(self.config, self.progress)
         with torch.no_grad():
             shots, rng = data.captures(self.step, phase["batch"], phase["size"])
-            inputs = camera.network_input(shots.photos, shots.saturated, shots.stated)
+            inputs = camera.network_input(shots.photos, shots.saturated, shots.stated, self.config["data"]["directions"])
         return self.descend(inputs, shots.maps, rng)
 
     def descend(self, inputs, maps, rng):
@@ -101,7 +101,7 @@ class Trainer:
 
     def averaged(self):
         """The network with the moving average of its weights."""
-        model = Model(self.config["model"]).to(self.device)
+        model = configuration.network(self.config).to(self.device)
         model.memory_format = self.model.memory_format
         model.load_state_dict(self.average)
         return model
@@ -134,8 +134,10 @@ class Trainer:
         if not place.exists():
             place = Path(folder) / "checkpoint.old"
         state = json.loads((place / "state.json").read_text())
-        if state["config"]["model"] != self.config["model"]:
-            raise SystemExit(f"{place}: its network differs from the configuration's: {state['config']['model']}")
+        for key in ("network", "model", "paper"):
+            # Checkpoints of before there were two kinds of network lack the others.
+            if state["config"].get(key, self.config[key]) != self.config[key]:
+                raise SystemExit(f"{place}: its network differs from the configuration's: {key} is {state['config'][key]}")
         changed = [key for key in self.config if state["config"].get(key) != self.config[key]]
         if changed:
             print(f"changed since the checkpoint: {', '.join(changed)}", flush=True)
@@ -186,7 +188,7 @@ def main(arguments=None):
         trainer.load(options.output)
     data = Data(config, device)
     validation = held_out(open_pack(config["data"]["pack"], validation=True)[1].to(device), config["validation"]["size"])
-    parameters, multiply_adds = cost(config["model"])
+    parameters, multiply_adds = cost(configuration.network(config))
     print(
         f"{len(data.names)} materials, {len(validation)} held out; {parameters / 1e6:.2f} M parameters, "
         f"{multiply_adds / 1e9:.1f} G multiply-adds for four photos of 256 x 256; {device}; from step {trainer.step}",
@@ -199,7 +201,7 @@ def main(arguments=None):
 
     def check():
         torch.backends.cudnn.benchmark = False
-        results = validate(trainer.averaged(), validation, config["validation"])
+        results = validate(trainer.averaged(), validation, config["validation"], config["data"])
         torch.backends.cudnn.benchmark = config["benchmark"]
         write({"step": trainer.step, "seconds": round(trainer.seconds, 1), "validation": results})
         print(f"step {trainer.step}, validation\n{summary(results)}", flush=True)

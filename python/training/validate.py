@@ -25,7 +25,7 @@ def capture(maps, family, photos, seed=SEED):
     rng, noise_rng = torch.Generator().manual_seed(seed), torch.Generator(maps.device).manual_seed(seed + 1)
     height, width = maps.shape[-2:]
     geometry = camera.draw_geometry(rng, len(maps), photos, height, width, maps.device, family, whole=1.0, collocated=1.0)
-    if family == "near":
+    if family in ("near", "paper"):
         return camera.Capture(*camera.clean_photos(maps, geometry), geometry, maps)
     return camera.photograph(maps, geometry, rng, noise_rng)
 
@@ -53,22 +53,23 @@ def scores(predicted, truth, raw, log_sigma, views):
         a, b = encode_radiance(pictures).clamp(0, 1)
         errors.append(((a - b) ** 2).mean().sqrt())
     out["rendering"] = float(torch.stack(errors).mean())
-    inside = (map_errors(raw, encode_maps(truth)) < torch.exp(log_sigma)).float()
-    out.update({f"cover_{name}": float(inside[:, group].mean()) for name, group in GROUPS.items()})
+    if log_sigma is not None:
+        inside = (map_errors(raw, encode_maps(truth)) < torch.exp(log_sigma)).float()
+        out.update({f"cover_{name}": float(inside[:, group].mean()) for name, group in GROUPS.items()})
     return {name: round(value, 5) for name, value in out.items()}
 
 
-def validate(model, maps, settings, chunk=4):
-    """Scores by family of captures and number of photos."""
+def validate(model, maps, settings, data, chunk=4):
+    """Scores by family of captures and number of photos. `settings` are those of the validation, `data` those of the data."""
     model.eval()
     results = {}
     with torch.no_grad():
-        for family in ("near", "real"):
+        for family in ("paper",) if data["captures"] == "paper" else ("near", "real"):
             for photos in settings["photos"]:
                 shots = capture(maps, family, photos)
-                inputs = camera.network_input(shots.photos, shots.saturated, shots.stated)
+                inputs = camera.network_input(shots.photos, shots.saturated, shots.stated, data["directions"])
                 outputs = [model(inputs[start : start + chunk]) for start in range(0, len(maps), chunk)]
-                raw, log_sigma = (torch.cat(parts).float() for parts in zip(*outputs))
+                raw, log_sigma = (torch.cat(parts).float() if parts[0] is not None else None for parts in zip(*outputs))
                 floor = model.config["roughness_floor"]
                 predicted = decode_maps(raw, floor)
                 shown = encode_maps(predicted)
@@ -81,7 +82,7 @@ def summary(results):
     """One line per row, for people."""
     lines = []
     for name, row in results.items():
-        cover = "/".join(f"{row[f'cover_{group}']:.2f}" for group in GROUPS)
+        cover = "/".join(f"{row[f'cover_{group}']:.2f}" for group in GROUPS if f"cover_{group}" in row)
         errors = " ".join(f"{key} {row[key]:.3f}" for key in ("D", "N", "R", "S", "rendering"))
-        lines.append(f"  {name:7} {errors}  {row['N_deg']:.1f} deg  within sigma {cover}")
+        lines.append(f"  {name:7} {errors}  {row['N_deg']:.1f} deg" + (f"  within sigma {cover}" if cover else ""))
     return "\n".join(lines)

@@ -1,0 +1,52 @@
+#!/usr/bin/env python3
+"""Trains the networks of the ablations: ablations.py -o out/ablations [--only NAME,...]
+
+Every variant of the paper's network (`paper-16.toml`) and of the small photo graph (`directions.toml`) for as many steps, with two seeds. What is finished is
+not trained again; what was interrupted goes on. `make accuracy` puts what is found there into docs/accuracy.md.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+SEEDS = (1, 2)
+# Name: configuration, changes.
+VARIANTS = {
+    "graph": ("paper-16.toml", []),
+    "no-graph": ("paper-16.toml", ['paper.gcn="none"']),
+    "max-pooling": ("paper-16.toml", ['paper.gcn="max"']),
+    "no-adapters": ("paper-16.toml", ["paper.adapters=false"]),
+    "directions": ("directions.toml", []),
+    "no-directions": ("directions.toml", ["data.directions=false"]),
+}
+
+
+def steps(folder):
+    """Steps of the checkpoint in `folder`, and how many its training has; (0, 1) where there is none."""
+    path = folder / "checkpoint" / "state.json"
+    if not path.exists():
+        return 0, 1
+    state = json.loads(path.read_text())
+    return state["step"], state["config"]["steps"]
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--only", type=lambda text: text.split(","), default=list(VARIANTS), help="names of variants")
+    options = parser.parse_args(arguments)
+    for seed in SEEDS:
+        for name in options.only:
+            config, changes = VARIANTS[name]
+            folder = options.output / f"{name}-{seed}"
+            done, wanted = steps(folder)
+            if done < wanted:
+                settings = [word for change in (f"seed={seed}", *changes) for word in ("--set", change)]
+                subprocess.run([sys.executable, HERE / "train.py", HERE / config, "-o", folder, *settings], check=True)
+
+
+if __name__ == "__main__":
+    main()
