@@ -124,8 +124,14 @@ pub fn fit_adapters(
     control: &mut Control<'_>,
 ) -> Result<Descent> {
     let mut params: Vec<f32> = adapters.iter().flat_map(|adapter| &adapter.values).copied().collect();
-    let settings =
-        Settings { stage: Stage::Adapters, steps, learning_rate: readout.learning_rate(), final_rate: 1.0, early_stop };
+    let settings = Settings {
+        stage: Stage::Adapters,
+        steps,
+        learning_rate: readout.learning_rate(),
+        final_rate: 1.0,
+        early_stop,
+        around: [0; 2],
+    };
     let descent = descend(&mut params, &settings, control, |params, gradient, control| {
         readout.loss(params, gradient, None, control)
     })?;

@@ -38,6 +38,8 @@ pub struct Settings {
     pub final_rate: f64,
     /// When to stop before `steps`; never if `None`.
     pub early_stop: Option<EarlyStop>,
+    /// Steps of the stage before this descent and after it, for the progress.
+    pub around: [usize; 2],
 }
 
 /// What a descent did.
@@ -91,7 +93,8 @@ fn run(
     control: &mut Control<'_>,
     evaluate: &mut impl FnMut(&[f32], Option<&mut [f32]>, &mut Control<'_>) -> Result<f64>,
 ) -> Result<Descent> {
-    let &Settings { stage, steps, mut learning_rate, final_rate, early_stop } = settings;
+    let &Settings { stage, steps, mut learning_rate, final_rate, early_stop, around: [before, after] } = settings;
+    let whole = before + steps + after;
     let mut adam = Adam::new(params.len());
     let mut gradient = vec![0.0; params.len()];
     let mut descent = Descent {
@@ -103,7 +106,7 @@ fn run(
     };
     // The best loss after each evaluation, to look back over the window of the early stop.
     let mut best_losses = Vec::with_capacity(steps + 1);
-    control.report(stage, 0, steps, None)?;
+    control.report(stage, before, whole, None)?;
     for step in 0..=steps {
         let last = step == steps;
         let loss = evaluate(params, (!last).then_some(&mut gradient[..]), control)?;
@@ -139,7 +142,7 @@ fn run(
             adam.reset();
             learning_rate *= BACK_OFF;
         }
-        control.report(stage, step + 1, steps, Some(loss))?;
+        control.report(stage, before + step + 1, whole, Some(loss))?;
     }
     Ok(descent)
 }
@@ -158,8 +161,14 @@ mod tests {
     use crate::error::{Error, Result};
     use crate::fit::progress::{CancelToken, Control, Progress, Stage};
 
-    const SETTINGS: Settings =
-        Settings { stage: Stage::Adapters, steps: 400, learning_rate: 0.05, final_rate: 1.0, early_stop: None };
+    const SETTINGS: Settings = Settings {
+        stage: Stage::Adapters,
+        steps: 400,
+        learning_rate: 0.05,
+        final_rate: 1.0,
+        early_stop: None,
+        around: [0; 2],
+    };
 
     /// A bowl around (1, -2) with bottom value `floor`.
     fn bowl(floor: f64) -> impl FnMut(&[f32], Option<&mut [f32]>, &mut Control<'_>) -> Result<f64> {

@@ -18,6 +18,7 @@ use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::cluster::{Membership, soft_groups};
 use crate::fit::descent::{Descent, Settings, descend};
+use crate::fit::light;
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{CancelToken, Control, Progress, Stage};
 use crate::fit::report::StageReport;
@@ -27,7 +28,11 @@ use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::render::{Target, photo_loss};
 
 /// Colour groups.
-const GROUPS: usize = 16;
+const GROUPS: usize = 32;
+/// Rounds: after each, pixels are grouped anew by the diffuse albedo that was found, which highlights reach less than the first estimate, and the
+/// light of every photo is estimated. Steps of a round at least.
+const ROUNDS: usize = 4;
+const ROUND_STEPS: usize = 50;
 /// Standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
 const PHOTO_DEVIATION: f64 = 0.2;
 /// Standard deviation of a pixel's slope (tangent of the angle) from the common tilt.
@@ -62,6 +67,14 @@ const LEARNING_RATE: f64 = 0.03;
 const GROUP_STEP: f32 = 2.0;
 const TILT_STEP: f32 = 1.0 / 3.0;
 
+/// What is fitted.
+#[derive(Clone, Debug)]
+pub(crate) struct Direct {
+    pub maps: Maps<f32>,
+    /// Factors on the stated light of the photos.
+    pub gains: Vec<f64>,
+}
+
 /// Fits isotropic maps to all photos of `capture`.
 ///
 /// `relief`: two planes of slopes that the surface may have beside leaning as a whole. Whether it has them or is flat is chosen by predicting
@@ -71,24 +84,40 @@ const TILT_STEP: f32 = 1.0 / 3.0;
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the photos' loss is not finite at the start.
 pub(crate) fn fit_direct(
     capture: &Capture,
-    targets: &[Target],
     relief: Option<&[f32]>,
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
-) -> Result<Maps<f32>> {
+) -> Result<Direct> {
     let begun = Instant::now();
     let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
     control.report(Stage::Direct, 0, steps, None)?;
-    let mut problem = Problem::new(capture, targets, options.seed)?;
+    let mut problem = Problem::new(capture, super::targets(capture)?, options.seed)?;
     if let Some(relief) = relief.filter(|_| capture.len() > 2)
         && predicts_better(relief, capture, options.seed, control)?
     {
         problem.relief = Some(relief.to_vec());
     }
-    let (maps, descent) = problem.fit(steps, control)?;
-    stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
-    Ok(maps)
+    let rounds = (steps / ROUND_STEPS).clamp(1, ROUNDS);
+    let begins = |round: usize| round * steps / rounds;
+    let mut gains = vec![1.0; capture.len()];
+    let (mut maps, mut whole) = problem.fit(begins(1), [0, steps - begins(1)], control)?;
+    for round in 1..rounds {
+        gains = light::gains(capture, &maps)?;
+        for (target, shot) in problem.targets.iter_mut().zip(light::shots(capture, &gains)) {
+            target.set_shot(shot);
+        }
+        problem.regroup(&maps, options.seed);
+        let (begin, end) = (begins(round), begins(round + 1));
+        let (next, descent) = problem.fit(end - begin, [begin, steps - end], control)?;
+        maps = next;
+        whole.losses.extend(&descent.losses[1..]);
+        whole.best_loss = descent.best_loss;
+        whole.rollbacks += descent.rollbacks;
+    }
+    tracing::debug!("light of the photos: {gains:.3?}");
+    stages.push(StageReport::new(Stage::Direct, &whole, begun.elapsed().as_secs_f64()));
+    Ok(Direct { maps, gains })
 }
 
 /// Whether photos that are left out are predicted better with `relief` than from a flat surface, on a part of the pixels.
@@ -100,15 +129,15 @@ fn predicts_better(relief: &[f32], capture: &Capture, seed: u64, control: &mut C
     let left_out: Vec<usize> = (0..folds).map(|fold| fold * count / folds).collect();
     let rests: Vec<Vec<Target>> =
         left_out.iter().map(|&without| [&all[..without], &all[without + 1..]].concat()).collect();
-    let mut problem = Problem::new(&capture, &all, seed)?;
+    let mut problem = Problem::new(&capture, all.clone(), seed)?;
     let mut error = |relief: Option<Vec<f32>>| -> Result<f64> {
         problem.relief = relief;
         let mut error = 0.0;
         for (rest, &without) in rests.iter().zip(&left_out) {
             control.poll()?;
-            problem.targets = rest;
+            problem.targets.clone_from(rest);
             let mut silent = |_: &Progress| ControlFlow::Continue(());
-            let (maps, _) = problem.fit(REHEARSAL_STEPS, &mut Control::new(&mut silent, CancelToken::new()))?;
+            let (maps, _) = problem.fit(REHEARSAL_STEPS, [0; 2], &mut Control::new(&mut silent, CancelToken::new()))?;
             error += photo_loss(&maps, problem.patch_size, &all[without..=without], None)?;
         }
         Ok(error)
@@ -171,8 +200,8 @@ impl Layout {
     }
 }
 
-struct Problem<'a> {
-    targets: &'a [Target],
+struct Problem {
+    targets: Vec<Target>,
     patch_size: f64,
     width: usize,
     height: usize,
@@ -187,8 +216,8 @@ struct Problem<'a> {
     relief: Option<Vec<f32>>,
 }
 
-impl<'a> Problem<'a> {
-    fn new(capture: &Capture, targets: &'a [Target], seed: u64) -> Result<Self> {
+impl Problem {
+    fn new(capture: &Capture, targets: Vec<Target>, seed: u64) -> Result<Self> {
         let (width, height) = (capture.width(), capture.height());
         let pixels = width * height;
         let albedo = diffuse_start(capture);
@@ -231,11 +260,45 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// The maps after `steps` steps.
-    fn fit(&self, steps: usize, control: &mut Control<'_>) -> Result<(Maps<f32>, Descent)> {
+    /// Groups pixels anew, by the diffuse albedo of `maps`, where the next descent begins.
+    fn regroup(&mut self, maps: &Maps<f32>, seed: u64) {
+        let pixels = self.layout.pixels;
+        let diffuse = &maps.data()[DIFFUSE_PLANE * pixels..][..3 * pixels];
+        let encoded: Vec<f32> = diffuse.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
+        let (memberships, groups) = soft_groups(&encoded, pixels, GROUPS, seed);
+        let specular = maps.lobe().specular_plane();
+        let planes = [specular, specular + 1, specular + 2, ROUGHNESS_PLANE].map(|plane| maps.plane(plane));
+        let mut sums = vec![([0.0f64; 4], 0.0f64); groups];
+        for (p, membership) in memberships.iter().enumerate() {
+            for &(group, weight) in membership {
+                let (sum, total) = &mut sums[group as usize];
+                *total += f64::from(weight);
+                for (sum, plane) in sum.iter_mut().zip(planes) {
+                    *sum += f64::from(weight) * f64::from(logit(inside(plane[p])));
+                }
+            }
+        }
+        let found = |(sum, total): ([f64; 4], f64)| {
+            let mean = sum.map(|sum| f64::from(sigmoid((sum / total.max(f64::MIN_POSITIVE)) as f32)));
+            Found { specular: [mean[0], mean[1], mean[2]], roughness: mean[3] }
+        };
+        self.found = sums.into_iter().map(found).collect();
+        self.diffuse = diffuse.iter().map(|&value| logit(inside(value))).collect();
+        self.memberships = memberships;
+        self.layout.groups = groups;
+    }
+
+    /// The maps after `steps` steps; `around` as in [`Settings`].
+    fn fit(&self, steps: usize, around: [usize; 2], control: &mut Control<'_>) -> Result<(Maps<f32>, Descent)> {
         let mut params = self.start();
-        let settings =
-            Settings { stage: Stage::Direct, steps, learning_rate: LEARNING_RATE, final_rate: 0.02, early_stop: None };
+        let settings = Settings {
+            stage: Stage::Direct,
+            steps,
+            learning_rate: LEARNING_RATE,
+            final_rate: 0.02,
+            early_stop: None,
+            around,
+        };
         let mut maps = self.empty_maps()?;
         let mut slopes = maps.clone();
         let descent = descend(&mut params, &settings, control, |params, gradient, _| {
@@ -274,7 +337,7 @@ impl<'a> Problem<'a> {
     }
 
     fn photo_loss(&self, maps: &Maps<f32>, gradient: Option<&mut Maps<f32>>) -> Result<f64> {
-        photo_loss(maps, self.patch_size, self.targets, gradient)
+        photo_loss(maps, self.patch_size, &self.targets, gradient)
     }
 
     /// Where a quantity starts, plus the offset of its group at every pixel, plus the pixel's own deviation.
@@ -446,6 +509,11 @@ fn flat_albedo(photo: &Photo, position: [f64; 2], pixel: usize) -> [f32; 3] {
 
 fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
+}
+
+/// A value between 0 and 1 whose logit is finite.
+fn inside(x: f32) -> f32 {
+    x.clamp(1e-4, 1.0 - 1e-4)
 }
 
 fn logit(x: f32) -> f32 {

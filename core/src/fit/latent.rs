@@ -26,8 +26,14 @@ pub fn fit_latent(
 ) -> Result<Descent> {
     let params: Vec<f32> = adapters.iter().flat_map(|adapter| &adapter.values).copied().collect();
     let mut d_feature = vec![0.0; network.config().feature_channels() * code.height() * code.width()];
-    let settings =
-        Settings { stage: Stage::Latent, steps, learning_rate: readout.learning_rate(), final_rate: 1.0, early_stop };
+    let settings = Settings {
+        stage: Stage::Latent,
+        steps,
+        learning_rate: readout.learning_rate(),
+        final_rate: 1.0,
+        early_stop,
+        around: [0; 2],
+    };
     let mut latent = std::mem::take(&mut code.latent);
     let result = descend(&mut latent, &settings, control, |latent, gradient, control| match gradient {
         Some(gradient) => {

@@ -9,6 +9,7 @@ mod deviations;
 mod direct;
 mod finish;
 pub mod latent;
+mod light;
 pub(crate) mod memory;
 mod network;
 pub mod options;
@@ -29,7 +30,7 @@ use crate::metrics::photo_rmse;
 use crate::nn::{Model, Network, PhotoGraph};
 use crate::render::{Target, render};
 pub use deviations::Deviations;
-use direct::fit_direct;
+use direct::{Direct, fit_direct};
 use network::fit_network;
 use options::{FitOptions, Method};
 use predicted::{Predicted, fit_predicted};
@@ -80,12 +81,15 @@ pub fn fit_material(
     memory::check(memory::estimate(capture, way), options.max_memory)?;
     on_pool(&pool, options.cancel.clone(), progress, |control| {
         let mut stages = Vec::new();
-        let alone = |maps| Predicted { maps, deviations: None, belief: None };
-        let Predicted { maps, deviations, belief } = match way {
+        let alone = |maps| Predicted { maps, gains: None, deviations: None, belief: None };
+        let Predicted { maps, gains, deviations, belief } = match way {
             Way::Paper(network) => {
                 alone(fit_network(capture, &targets(capture)?, network, options, &mut stages, control)?)
             }
-            Way::Direct => alone(fit_direct(capture, &targets(capture)?, None, options, &mut stages, control)?),
+            Way::Direct => {
+                let Direct { maps, gains } = fit_direct(capture, None, options, &mut stages, control)?;
+                Predicted { gains: Some(gains), ..alone(maps) }
+            }
             Way::Graph(graph) => fit_predicted(capture, graph, options, &mut stages, control)?,
         };
         let material = Material::from_maps(&maps, capture.patch_size())?;
@@ -107,6 +111,7 @@ pub fn fit_material(
             transfer: capture.transfer(),
             stages,
             photo_errors,
+            light_gains: gains,
             photo_deviation: belief.map(|belief| belief.photo_deviation),
             believed_shares: belief.map(|belief| belief.shares),
             seconds: started.elapsed().as_secs_f64(),

@@ -9,10 +9,10 @@ use crate::error::Result;
 use crate::fit::deviations::Deviations;
 use crate::fit::direct::fit_direct;
 use crate::fit::finish::{Belief, Finished, Start, finish};
+use crate::fit::light;
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
-use crate::fit::targets;
 use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::metrics::photo_rmse;
@@ -28,6 +28,8 @@ const STEEPEST: f32 = 0.2;
 /// Isotropic maps, and what the finish found where it ran.
 pub(crate) struct Predicted {
     pub maps: Maps<f32>,
+    /// Factors on the light of the photos, where they were estimated.
+    pub gains: Option<Vec<f64>>,
     pub deviations: Option<Deviations>,
     pub belief: Option<Belief>,
 }
@@ -60,12 +62,15 @@ pub(crate) fn fit_predicted(
     control.report(Stage::Encode, 1, 1, Some(loss))?;
     // A single photo's highlight would end up in the diffuse albedo.
     let shared = if capture.len() == 1 { 0 } else { options.preset.direct_steps() };
+    let mut gains = None;
     if options.direct_steps.unwrap_or(shared) > 0 {
-        maps = fit_direct(capture, &targets(capture)?, Some(&relief(&maps)), options, stages, control)?;
+        let direct = fit_direct(capture, Some(&relief(&maps)), options, stages, control)?;
+        maps = direct.maps;
+        gains = Some(direct.gains);
     }
     let steps = options.finish_steps.unwrap_or(options.preset.finish_steps());
     if steps == 0 {
-        return Ok(Predicted { maps, deviations: None, belief: None });
+        return Ok(Predicted { maps, gains, deviations: None, belief: None });
     }
     let pixels = capture.width() * capture.height();
     let planes = prediction.log_sigma.chunks_exact_mut(pixels);
@@ -74,9 +79,10 @@ pub(crate) fn fit_predicted(
     let mut shared = prediction.raw.clone();
     encode(&maps, floor, &mut shared);
     let start = Start { raw: &shared, network: &prediction.raw, deviation: &prediction.log_sigma };
-    let Finished { raw, deviation, belief } = finish(capture, start, f64::from(floor), steps, stages, control)?;
+    let shots = light::shots(capture, gains.as_deref().unwrap_or(&vec![1.0; capture.len()]));
+    let Finished { raw, deviation, belief } = finish(capture, &shots, start, f64::from(floor), steps, stages, control)?;
     graph.decoding()?.decode(&raw, &mut maps)?;
-    Ok(Predicted { deviations: Some(deviations(&maps, &deviation)?), maps, belief: Some(belief) })
+    Ok(Predicted { deviations: Some(deviations(&maps, &deviation)?), maps, gains, belief: Some(belief) })
 }
 
 /// The slopes of the normals of `maps`, two planes without their means: how the sample leans is found elsewhere.

@@ -59,8 +59,11 @@ pub struct FitReport {
     pub transfer: Transfer,
     /// The stages that ran, in order.
     pub stages: Vec<StageReport>,
-    /// Error of each photo re-rendered: RMSE of gamma 2.2 encoded values, clamped to [0, 1].
+    /// Error of each photo re-rendered under the stated light: RMSE of gamma 2.2 encoded values, clamped to [0, 1].
     pub photo_errors: Vec<f64>,
+    /// Factor on the stated light intensity of each photo with which the maps were fitted; `None` where the stated ones were taken.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub light_gains: Option<Vec<f64>>,
     /// Standard deviation of what the maps cannot explain in the photos (gamma 2.2 codes), as the finish chose it; `None` without finish.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub photo_deviation: Option<f64>,

@@ -24,6 +24,11 @@ pub const MAX_DECODED_BYTES: u64 = 1 << 30;
 const MAX_COMPRESSION: u64 = 2048;
 const SMALL_FILE: u64 = 1 << 16;
 
+/// Integer samples from here on are saturated: 96 % of the top code. Compression and resampling smear what a camera clipped over the codes below the
+/// top one (half of the clipped pixels of a JPEG-compressed capture lie there), and a highlight that is believed to end at 99 % has the wrong shape and colour.
+const SATURATED_U8: u8 = 250;
+const SATURATED_U16: u16 = 62915;
+
 /// Stored pixel values: integers stand for the range from 0 to 1, floats for themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
@@ -182,16 +187,16 @@ impl<'a> RowReader<'a> {
     }
 
     /// Row `y` as `colors` linear values per pixel; where `saturated` is given, it gets one byte per pixel whose bit c says
-    /// that channel c stands at the encoding's upper end.
+    /// that channel c stands at the encoding's upper end, or so near that compression may have moved it.
     pub fn read(&self, y: usize, row: &mut [f32], saturated: Option<&mut [u8]>) {
         let stride = self.pixels.width * self.pixels.channels;
         let range = y * stride..(y + 1) * stride;
         match self.pixels.samples {
             Samples::U8(values) => {
-                self.convert(&values[range], row, saturated, |v| self.table[usize::from(v)], |v| v == u8::MAX)
+                self.convert(&values[range], row, saturated, |v| self.table[usize::from(v)], |v| v >= SATURATED_U8)
             }
             Samples::U16(values) => {
-                self.convert(&values[range], row, saturated, |v| self.table[usize::from(v)], |v| v == u16::MAX)
+                self.convert(&values[range], row, saturated, |v| self.table[usize::from(v)], |v| v >= SATURATED_U16)
             }
             Samples::F32(values) => {
                 let white = self.white_level.unwrap_or(f32::INFINITY);

@@ -110,6 +110,11 @@ impl Target {
     pub fn shot(&self) -> &Shot {
         &self.shot
     }
+
+    /// Takes other positions and light for those of the photo.
+    pub fn set_shot(&mut self, shot: Shot) {
+        self.shot = shot;
+    }
 }
 
 /// What renderings are compared with.

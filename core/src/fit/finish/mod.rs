@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use crate::capture::{Capture, Photo};
+use crate::capture::{Capture, Photo, Shot};
 use crate::error::{Error, Result};
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
@@ -67,6 +67,8 @@ pub(crate) struct Belief {
 /// A photo as the finish compares with it.
 struct View<'a> {
     photo: &'a Photo,
+    /// Where camera and light are taken to stand, and how bright it is taken to be.
+    shot: Shot,
     /// Encoded colour of every pixel.
     code: Vec<[f32; 3]>,
 }
@@ -193,7 +195,7 @@ impl<'a> Problem<'a> {
     fn sights(&self, pixel: usize) -> Vec<Sight> {
         let width = self.capture.width();
         let [x, y] = self.capture.position(pixel / width, pixel % width);
-        self.views.iter().map(|view| Sight::new(&view.photo.shot, x, y)).collect()
+        self.views.iter().map(|view| Sight::new(&view.shot, x, y)).collect()
     }
 
     /// Calls `each` for everything that `raw` is compared with; returns the photos' part of the cost.
@@ -425,12 +427,13 @@ fn places(c: usize) -> [usize; 5] {
     [c, NORMAL, NORMAL + 1, ROUGHNESS, SPECULAR + c]
 }
 
-/// Fits every pixel of `capture` to the photos with `start` as the prior, by up to `steps` Levenberg-Marquardt steps.
+/// Fits every pixel of `capture`, its photos taken as `shots` say, with `start` as the prior, by up to `steps` Levenberg-Marquardt steps.
 ///
 /// # Errors
 /// [`Error::ShapeMismatch`] if the planes are not of the capture's size; [`Error::Cancelled`].
 pub(crate) fn finish(
     capture: &Capture,
+    shots: &[Shot],
     start: Start<'_>,
     roughness_floor: f64,
     steps: usize,
@@ -448,8 +451,9 @@ pub(crate) fn finish(
     }
     control.report(Stage::Finish, 0, 2, None)?;
     let code = |color: &[f32]| [0, 1, 2].map(|c| encode_radiance(color[c]));
-    let view = |photo| View { photo, code: photo.image.data().chunks_exact(3).map(code).collect() };
-    let views = capture.photos().iter().map(view).collect();
+    let codes = |photo: &Photo| photo.image.data().chunks_exact(3).map(code).collect();
+    let views =
+        capture.photos().iter().zip(shots).map(|(photo, &shot)| View { photo, shot, code: codes(photo) }).collect();
     let problem = Problem { capture, views, start, roughness_floor };
 
     let trust = problem.choose(control)?;
@@ -550,6 +554,7 @@ mod tests {
         let mut stages = Vec::new();
         let finished = finish(
             capture,
+            &capture.photos().iter().map(|photo| photo.shot).collect::<Vec<_>>(),
             Start { raw, network: raw, deviation: &vec![deviation; raw.len()] },
             -0.9,
             20,
@@ -607,7 +612,7 @@ mod tests {
             let mut callback = |_: &Progress| answer;
             let mut control = Control::new(&mut callback, CancelToken::new());
             let start = Start { raw, network: &truth, deviation: &truth };
-            finish(&capture, start, -1.0, 1, &mut Vec::new(), &mut control)
+            finish(&capture, &shots(2), start, -1.0, 1, &mut Vec::new(), &mut control)
         };
         assert!(matches!(attempt(&truth[1..], ControlFlow::Continue(())), Err(Error::ShapeMismatch { .. })));
         assert!(matches!(attempt(&truth, ControlFlow::Break(())), Err(Error::Cancelled)));

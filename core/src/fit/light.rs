@@ -1,0 +1,138 @@
+//! How bright the light of each photo was: real captures know it to some per cent only, and cameras choose exposures by themselves.
+//!
+//! Not from the paper.
+
+use rayon::prelude::*;
+
+use crate::capture::{Capture, Photo, Shot};
+use crate::error::Result;
+use crate::maps::Maps;
+use crate::render::{encode_radiance, render_maps};
+
+/// Share of an estimated deviation that is believed: what the maps cannot explain yet looks like other light.
+const BELIEVED: f64 = 0.7;
+/// Largest deviation, as a logarithm: a factor of 1.35.
+const LIMIT: f64 = 0.3;
+/// Differences of codes beyond this count less and less (Cauchy).
+const OUTLIER: f64 = 0.1;
+/// Photos below which nothing is estimated: with two, what differs is as likely the surface.
+const PHOTOS_MIN: usize = 3;
+/// Rounds of reweighting.
+const ROUNDS: usize = 10;
+
+/// A factor on the stated light intensity of every photo of `capture`, with which `maps` explain it better; their geometric mean is 1 but for the limit.
+pub(super) fn gains(capture: &Capture, maps: &Maps<f32>) -> Result<Vec<f64>> {
+    let count = capture.len();
+    if count < PHOTOS_MIN {
+        return Ok(vec![1.0; count]);
+    }
+    let logs = capture
+        .photos()
+        .iter()
+        .map(|photo| Ok(2.2 * code_ratio(photo, &render_maps(maps, capture.patch_size(), &photo.shot)?).ln()))
+        .collect::<Result<Vec<f64>>>()?;
+    let mean = logs.iter().sum::<f64>() / count as f64;
+    Ok(logs.iter().map(|log| (BELIEVED * (log - mean)).clamp(-LIMIT, LIMIT).exp()).collect())
+}
+
+/// The shots of `capture` under these gains.
+pub(super) fn shots(capture: &Capture, gains: &[f64]) -> Vec<Shot> {
+    let lit = |(photo, gain): (&Photo, &f64)| Shot {
+        light_intensity: photo.shot.light_intensity.map(|intensity| intensity * gain),
+        ..photo.shot
+    };
+    capture.photos().iter().zip(gains).map(lit).collect()
+}
+
+/// The factor on the codes of `rendering` (three planes of radiance) that brings it nearest to the photo, where that is not saturated: reweighted least squares.
+fn code_ratio(photo: &Photo, rendering: &[f32]) -> f64 {
+    let pixels = photo.saturated.len();
+    let codes: Vec<[f64; 2]> = (0..pixels)
+        .into_par_iter()
+        .filter(|&p| photo.saturated[p] == 0)
+        .map(|p| {
+            let seen = &photo.image.data()[3 * p..3 * p + 3];
+            let code = |sum: f32| f64::from(encode_radiance(sum / 3.0));
+            [code(seen[0] + seen[1] + seen[2]), code((0..3).map(|c| rendering[c * pixels + p]).sum())]
+        })
+        .collect();
+    let mut ratio = 1.0;
+    for _ in 0..ROUNDS {
+        let (mut up, mut down) = (0.0, 0.0);
+        for [seen, rendered] in &codes {
+            let weight = 1.0 / (1.0 + ((seen - ratio * rendered) / OUTLIER).powi(2));
+            up += weight * seen * rendered;
+            down += weight * rendered * rendered;
+        }
+        // Nothing rendered, or nothing seen: that says nothing about the light.
+        if !(up > 0.0 && down > 0.0) {
+            return 1.0;
+        }
+        ratio = up / down;
+    }
+    ratio
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{gains, shots};
+    use crate::capture::{Capture, Photo, Shot};
+    use crate::color::Transfer;
+    use crate::image::Image;
+    use crate::maps::{Lobe, Maps};
+    use crate::render::render_maps;
+
+    const SIDE: usize = 12;
+
+    fn maps() -> Maps<f32> {
+        let mut maps = Maps::new(Lobe::Isotropic, SIDE, SIDE, vec![0.0; 10 * SIDE * SIDE]).unwrap();
+        for (i, value) in maps.data_mut().iter_mut().enumerate() {
+            *value = match i / (SIDE * SIDE) {
+                plane @ ..3 => 0.2 + 0.1 * plane as f32 + 0.002 * (i % 11) as f32,
+                3 | 4 => 0.0,
+                5 => 1.0,
+                6 => 0.4,
+                _ => 0.04,
+            };
+        }
+        maps
+    }
+
+    /// A capture of `maps` whose photos were lit by `truth` times what is stated.
+    fn capture(maps: &Maps<f32>, truth: &[f64]) -> Capture {
+        let photos = truth.iter().enumerate().map(|(i, factor)| {
+            let place = [0.5 * i as f64 - 0.7, 0.3, 2.2];
+            let shot = Shot { camera: place, light: place, light_intensity: [9.0; 3] };
+            let lit = Shot { light_intensity: [9.0 * factor; 3], ..shot };
+            let image = Image::from_planar(SIDE, SIDE, 3, &render_maps(maps, 2.0, &lit).unwrap()).unwrap();
+            Photo { name: i.to_string(), shot, image, saturated: vec![0; SIDE * SIDE] }
+        });
+        Capture::new(photos.collect(), 2.0, Transfer::Linear).unwrap()
+    }
+
+    #[test]
+    fn other_light_is_found_up_to_the_share_that_is_believed() {
+        let maps = maps();
+        let truth = [0.9f64, 1.2, 1.0, 0.95];
+        let mean = truth.iter().map(|t| t.ln()).sum::<f64>() / 4.0;
+        let capture = capture(&maps, &truth);
+        let found = gains(&capture, &maps).unwrap();
+        for (found, truth) in found.iter().zip(truth) {
+            assert!((found.ln() - 0.7 * (truth.ln() - mean)).abs() < 0.01, "{found} {truth}");
+        }
+        let lit = shots(&capture, &found);
+        assert!(
+            (lit[1].light_intensity[0] - 9.0 * found[1]).abs() < 1e-12
+                && lit[1].camera == capture.photos()[1].shot.camera
+        );
+    }
+
+    #[test]
+    fn right_light_few_photos_and_black_ones_change_nothing() {
+        let maps = maps();
+        assert!(gains(&capture(&maps, &[1.0; 4]), &maps).unwrap().iter().all(|gain| (gain - 1.0).abs() < 1e-6));
+        assert_eq!(gains(&capture(&maps, &[0.5, 1.0]), &maps).unwrap(), [1.0, 1.0]);
+        let black = capture(&maps, &[0.0; 3]);
+        assert!(gains(&black, &maps).unwrap().iter().all(|gain| (gain - 1.0).abs() < 1e-9));
+    }
+}
