@@ -169,11 +169,14 @@ fn exr_windows() {
 
 #[test]
 fn saturation_of_files() {
-    let png = files::png(2, 1, 2, 16, &[65535, 65534, 0, 1, 2, 65535]);
+    // From 98 % of the top code on.
+    let png = files::png(2, 1, 2, 16, &[65535, 64224, 0, 1, 2, 64225]);
     assert_eq!(capture_of(&png, "a.png", "").unwrap().photos()[0].saturated, [1, 4]);
     let warned = capture_of(&png, "a.png", r#""white_level": 0.5,"#).unwrap();
     assert_eq!(warned.photos()[0].saturated, [1, 4]);
     assert!(warned.warnings()[0].contains("white_level"));
+    let png = files::png(2, 1, 2, 8, &[255, 249, 0, 1, 2, 250]);
+    assert_eq!(capture_of(&png, "a.png", "").unwrap().photos()[0].saturated, [1, 4]);
     let exr = files::exr([0, 0, 2, 1], [0, 0, 2, 1], &[("Y", &[1.0, 4.0])]);
     assert_eq!(capture_of(&exr, "a.exr", "").unwrap().photos()[0].saturated, [0, 0]);
     assert_eq!(capture_of(&exr, "a.exr", r#""white_level": 4,"#).unwrap().photos()[0].saturated, [0, 7]);

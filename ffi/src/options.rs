@@ -343,7 +343,7 @@ pub struct svbrdf_gcn_capture_options {
     pub view_count: usize,
     /// A `svbrdf_gcn_transfer`. By default what the capture on disk states; pixels from the host need it.
     pub transfer: i32,
-    /// The stored value at which float pixels from the host are saturated; 0, the default: none are. Integers are at their top code.
+    /// The stored value at which float pixels from the host are saturated; 0, the default: none are. Integers are from 98 % of their top code on.
     /// Captures on disk state their own.
     pub white_level: f32,
     /// A `svbrdf_gcn_color_space`: that of linear photos and of their `light_intensity`; both are converted to Rec. 709. By default what the capture

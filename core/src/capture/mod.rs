@@ -277,7 +277,7 @@ impl Capture {
     /// A capture from photos in memory, with the checks of [`Capture::open_with`].
     ///
     /// `patch_size` is the width of the patch. `white_level` is the stored value at which float samples are saturated; without
-    /// it none are. Integer samples are saturated at their top code.
+    /// it none are. Integer samples are saturated from 98 % of their top code on.
     ///
     /// # Errors
     /// As [`Capture::open_with`]; [`Error::ShapeMismatch`] if a photo's samples are not `width * height * channels` values.

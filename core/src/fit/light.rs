@@ -20,7 +20,7 @@ const PHOTOS_MIN: usize = 3;
 /// Rounds of reweighting.
 const ROUNDS: usize = 10;
 
-/// A factor on the stated light intensity of every photo of `capture`, with which `maps` explain it better; their geometric mean is 1 but for the limit.
+/// A factor on the stated light intensity of every photo of `capture`, with which `maps` explain it better: near 1 in the geometric mean.
 pub(super) fn gains(capture: &Capture, maps: &Maps<f32>) -> Result<Vec<f64>> {
     let count = capture.len();
     if count < PHOTOS_MIN {
@@ -75,7 +75,7 @@ fn code_ratio(photo: &Photo, rendering: &[f32]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{gains, shots};
+    use super::{BELIEVED, gains, shots};
     use crate::capture::{Capture, Photo, Shot};
     use crate::color::Transfer;
     use crate::image::Image;
@@ -111,14 +111,14 @@ mod tests {
     }
 
     #[test]
-    fn other_light_is_found_up_to_the_share_that_is_believed() {
+    fn other_light_is_found_as_far_as_it_is_believed() {
         let maps = maps();
         let truth = [0.9f64, 1.2, 1.0, 0.95];
         let mean = truth.iter().map(|t| t.ln()).sum::<f64>() / 4.0;
         let capture = capture(&maps, &truth);
         let found = gains(&capture, &maps).unwrap();
         for (found, truth) in found.iter().zip(truth) {
-            assert!((found.ln() - 0.7 * (truth.ln() - mean)).abs() < 0.01, "{found} {truth}");
+            assert!((found.ln() - BELIEVED * (truth.ln() - mean)).abs() < 0.01, "{found} {truth}");
         }
         let lit = shots(&capture, &found);
         assert!(

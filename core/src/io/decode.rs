@@ -24,10 +24,10 @@ pub const MAX_DECODED_BYTES: u64 = 1 << 30;
 const MAX_COMPRESSION: u64 = 2048;
 const SMALL_FILE: u64 = 1 << 16;
 
-/// Integer samples from here on are saturated: 96 % of the top code. Compression and resampling smear what a camera clipped over the codes below the
+/// Integer samples from here on are saturated: 98 % of the top code. Compression and resampling smear what a camera clipped over the codes below the
 /// top one (half of the clipped pixels of a JPEG-compressed capture lie there), and a highlight that is believed to end at 99 % has the wrong shape and colour.
 const SATURATED_U8: u8 = 250;
-const SATURATED_U16: u16 = 62915;
+const SATURATED_U16: u16 = 64225;
 
 /// Stored pixel values: integers stand for the range from 0 to 1, floats for themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]

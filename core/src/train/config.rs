@@ -71,6 +71,10 @@ pub struct DataSettings {
     pub refresh: usize,
     /// Side of a procedural material in pixels.
     pub size: usize,
+    /// What captures are: `any`; those of the synthetic literature are drawn by PyTorch's trainer alone.
+    pub captures: String,
+    /// Whether the network is shown where camera and light stood: always, here.
+    pub directions: bool,
 }
 
 /// A part of the training.
@@ -159,7 +163,16 @@ impl Default for Configuration {
 
 impl Default for DataSettings {
     fn default() -> Self {
-        Self { pack: "data/materials.zip".into(), procedural: 0.45, groups: 56, per_group: 6, refresh: 2, size: 320 }
+        Self {
+            pack: "data/materials.zip".into(),
+            procedural: 0.45,
+            groups: 56,
+            per_group: 6,
+            refresh: 2,
+            size: 320,
+            captures: "any".into(),
+            directions: true,
+        }
     }
 }
 
@@ -218,6 +231,11 @@ impl Configuration {
             place.insert(last.into(), value);
         }
         let unfit = |reason: String| Error::invalid(name, reason);
+        if let Some(network) = given.remove("network").filter(|network| *network != "photo graph") {
+            return Err(unfit(format!(
+                "network: expected \"photo graph\", got {network}: python/training/train.py trains networks of the paper's form"
+            )));
+        }
         let mut defaults = serde_json::to_value(Self::default()).map_err(|error| unfit(error.to_string()))?;
         // It follows from the phases.
         defaults["model"].as_object_mut().and_then(|model| model.remove("window"));
@@ -250,6 +268,12 @@ impl Configuration {
         }
         if self.steps == 0 && self.seconds <= 0.0 {
             return Err(format!("seconds: expected a number above 0 where steps is 0, got {}", self.seconds));
+        }
+        if data.captures != "any" || !data.directions {
+            return Err(format!(
+                "data.captures, data.directions: expected \"any\" and true, got {:?} and {}: python/training/train.py knows the others",
+                data.captures, data.directions
+            ));
         }
         within("data.procedural", data.procedural, [0.0, 1.0])?;
         within("data.size", data.size as f64, SIDES)?;
@@ -370,6 +394,15 @@ mod tests {
         let smoke = Configuration::load(folder.join("smoke.toml"), &["steps=7".into()]).unwrap();
         assert_eq!((smoke.steps, smoke.validation.photos.as_slice(), smoke.bfloat16), (7, [1, 4].as_slice(), false));
         assert_eq!(smoke.progress(7, 0.0), 1.0);
+        assert_eq!(Configuration::load(folder.join("directions.toml"), &[]).unwrap().steps, 1500);
+        for (file, change) in [
+            ("paper-16.toml", "seed=1"),
+            ("smoke.toml", "data.directions=false"),
+            ("smoke.toml", "data.captures=\"paper\""),
+        ] {
+            let message = Configuration::load(folder.join(file), &[change.into()]).unwrap_err().to_string();
+            assert!(message.contains("python/training/train.py"), "{message}");
+        }
     }
 
     #[test]

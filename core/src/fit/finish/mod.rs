@@ -23,7 +23,7 @@ use solve::Cholesky;
 /// Candidates for the standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
 const PHOTO_DEVIATIONS: [f64; 6] = [0.2, 0.1, 0.05, 0.025, 0.0125, 0.006];
 /// Candidates for the share of the network's deviation that is believed, in normals, and in specular albedo and roughness.
-const SHARES: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
+const SHARES: [f64; 5] = [2.0, 1.0, 0.3, 0.1, 0.03];
 /// Pixels on which these are chosen.
 const CHOICE_PIXELS: usize = 1024;
 /// Photos left out at most, one at a time.
