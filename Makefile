@@ -18,7 +18,7 @@ endif
 # Property tests draw the same cases every time; another seed draws others.
 export PROPTEST_RNG_SEED ?= 1
 
-.PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test golden blender-test oiio-test training-test stubs wheel addon bench accuracy fuzz sample clean
+.PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test golden blender-test oiio-test training-test stubs wheel addon bench accuracy ablations fuzz sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -118,6 +118,9 @@ accuracy: build ## fit materials and captures whose truth is known and write doc
 		&& cp tests/accuracy/requirements.txt $(VENV)/accuracy/requirements.txt; }
 	$(VENV)/accuracy/bin/python -m pytest -q tests/accuracy
 	$(VENV)/accuracy/bin/python tests/accuracy/accuracy.py --binary $(BIN) $(ACCURACY)
+
+ablations: build ## measure the trainings of python/training/ablations.py in out/ablations and write docs/ablations.md (after make accuracy)
+	$(VENV)/accuracy/bin/python tests/accuracy/ablations.py out/ablations --binary $(BIN)
 
 fuzz: ## a minute on each reader (needs cargo-fuzz)
 	for target in image folders weights; do \

@@ -504,7 +504,7 @@ typedef struct svbrdf_gcn_capture_options {
    */
   int32_t transfer;
   /**
-   * The stored value at which float pixels from the host are saturated; 0, the default: none are. Integers are at their top code.
+   * The stored value at which float pixels from the host are saturated; 0, the default: none are. Integers are from 98 % of their top code on.
    * Captures on disk state their own.
    */
   float white_level;

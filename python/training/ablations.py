@@ -2,7 +2,8 @@
 """Trains the networks of the ablations: ablations.py -o out/ablations [--only NAME,...]
 
 Every variant of the paper's network (`paper-16.toml`) and of the small photo graph (`directions.toml`) for as many steps, with two seeds. What is finished is
-not trained again; what was interrupted goes on. `make accuracy` puts what is found there into docs/accuracy.md.
+not trained again; what was interrupted goes on. `make ablations` then makes
+docs/ablations.md of it.
 """
 
 import argparse
@@ -22,6 +23,8 @@ VARIANTS = {
     "directions": ("directions.toml", []),
     "no-directions": ("directions.toml", ["data.directions=false"]),
 }
+# Those that a fit can use; their weights are written beside their folders.
+EXPORTED = ("graph", "no-graph", "no-adapters")
 
 
 def steps(folder):
@@ -46,6 +49,8 @@ def main(arguments=None):
             if done < wanted:
                 settings = [word for change in (f"seed={seed}", *changes) for word in ("--set", change)]
                 subprocess.run([sys.executable, HERE / "train.py", HERE / config, "-o", folder, *settings], check=True)
+            if name in EXPORTED:
+                subprocess.run([sys.executable, HERE / "export.py", folder, "-o", f"{folder}.safetensors"], check=True)
 
 
 if __name__ == "__main__":

@@ -42,6 +42,8 @@ def main(arguments=None):
     place = options.folder / "checkpoint"
     state = json.loads((place / "state.json").read_text())
     config = state["config"]
+    if config.get("network") == "paper":
+        raise SystemExit(f"{options.folder}: a network of the paper's form does not say how sure it is: there is nothing to calibrate")
     weights, _ = store.load(place / "average.safetensors")
     model = Model(config["model"]).eval()
     model.load_state_dict(weights)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import torch
 
+import paper
 import store
 from camera import RATIO_MAX
 from model import ADAPTERS, HINT_RIDGE, LOG_SIGMA, NORM_EPS, SPREAD_EPS
@@ -46,13 +47,28 @@ def architecture(config):
     }
 
 
+def paper_network(config):
+    """The configuration of a network of the paper's form, as docs/weights.md has it; SystemExit for those that nothing else runs."""
+    if config["gcn"] == "max":
+        raise SystemExit("paper.gcn: max is for ablations alone and cannot be exported")
+    sizes = {key: config[key] for key in ("photos", "width", "encoder_blocks", "middle_blocks", "decoder_blocks", "gcn", "roughness_floor")}
+    return {**sizes, "lobe": "isotropic"}
+
+
 def write(path, tensors, config, facts, dtype):
-    """Write `tensors` in `dtype`; `facts` are further metadata."""
+    """Write `tensors` in `dtype`; `config` is a whole configuration, `facts` are further metadata."""
+    if config["network"] == "paper":
+        settings = config["paper"]
+        form = {"networks": json.dumps([paper_network(settings)])}
+        tensors = tensors if settings["adapters"] else paper.with_adapters(tensors)
+        tensors = {f"photos{settings['photos']}.{name}": tensor for name, tensor in tensors.items()}
+    else:
+        form = {"architecture": json.dumps(architecture(config["model"]))}
     tensors = {name: tensor.detach().to(dtype) for name, tensor in tensors.items()}
     for name, tensor in tensors.items():
         if not bool(torch.isfinite(tensor).all()):
             raise SystemExit(f"{name}: holds values that are not finite in {dtype}")
-    store.save(path, tensors, {**CONVENTIONS, "architecture": json.dumps(architecture(config)), **facts})
+    store.save(path, tensors, {**CONVENTIONS, **form, **facts})
 
 
 def training_data(pack):
@@ -87,7 +103,7 @@ def main(arguments=None):
         "data": json.dumps(training_data(options.pack or config["data"]["pack"])),
         "training": json.dumps(summary),
     }
-    write(options.output, average, config["model"], facts, torch.float32 if options.f32 else torch.float16)
+    write(options.output, average, config, facts, torch.float32 if options.f32 else torch.float16)
     print(f"{options.output}: {options.output.stat().st_size / 1e6:.2f} MB, {sum(t.numel() for t in average.values()) / 1e6:.2f} M parameters, {state['step']} steps")
 
 

@@ -131,7 +131,7 @@ def main(folder):
     default, training = folder / "default", folder / "training"
     default.mkdir(parents=True, exist_ok=True)
     weights, given = made_up()
-    export.write(default / "weights.safetensors", weights, CONFIG, {"license": "CC0-1.0", "data": "random weights"}, torch.float32)
+    export.write(default / "weights.safetensors", weights, {"network": "photo graph", "model": CONFIG}, {"license": "CC0-1.0", "data": "random weights"}, torch.float32)
     store.save(default / "expected.safetensors", {**given, **answers(weights, given)})
     training.mkdir(parents=True, exist_ok=True)
     store.save(training / "steps.safetensors", trained(training))

@@ -36,7 +36,9 @@ def shade(maps, view, light_dir, half, irradiance):
         maps = maps[:, None]
     diffuse, specular = maps[..., DIFFUSE, :, :], maps[..., SPECULAR, :, :]
     normal = unit(maps[..., NORMAL, :, :])
-    alpha = maps[..., ROUGHNESS, :, :].clamp_min(ROUGHNESS_MIN) ** 2
+    # At the bound itself the slope is 1, whatever this version's clamp thinks of it.
+    roughness = maps[..., ROUGHNESS, :, :]
+    alpha = torch.where(roughness < ROUGHNESS_MIN, torch.full_like(roughness, ROUGHNESS_MIN), roughness) ** 2
 
     def dot(a, b):
         return (a * b).sum(-3, keepdim=True)

@@ -100,7 +100,7 @@ def test_half_precision_stays_near(network, layout):
 
 
 def test_the_default_network_is_small():
-    parameters, multiply_adds = model.cost(model.DEFAULT)
+    parameters, multiply_adds = model.cost(model.Model({**model.DEFAULT}))
     assert parameters <= 4_000_000
     assert multiply_adds <= 20e9
 

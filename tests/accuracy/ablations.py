@@ -1,0 +1,170 @@
+#!/usr/bin/env python3
+"""Measures the trainings of `python/training/ablations.py` and writes docs/ablations.md: ablations.py out/ablations [--binary svbrdf-gcn] [--report docs]
+
+Two tables: what the networks predict by themselves on the held-out textures, as their trainings scored it; and what is left on the maps of Deschaintre
+et al. of the stages of the paper's fit. Needs the measuring data and numpy; fits are kept in the folder.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import statistics
+import subprocess
+from pathlib import Path
+
+os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
+
+import numpy as np  # noqa: E402
+import scenes  # noqa: E402
+from shading import Maps, gamma22, render, unit  # noqa: E402
+
+SIZE = 128
+SEEDS = (1, 2)
+ADAPTER_STEPS, LATENT_STEPS = 300, 10
+LABELS = {
+    "graph": "graph convolution (Eq. 2), adapters",
+    "no-graph": "without graph: one convolution",
+    "max-pooling": "maximum over photos instead",
+    "no-adapters": "graph, without adapters",
+    "directions": "small photo graph",
+    "no-directions": "the same, without light directions",
+}
+# Those that the command line runs; the maximum is no form of the paper's network.
+FITTED = ("graph", "no-graph", "no-adapters")
+STAGES = {"network only": (0, 0), "+ latent": (LATENT_STEPS, 0), "+ adapters": (0, ADAPTER_STEPS), "+ latent + adapters": (LATENT_STEPS, ADAPTER_STEPS)}
+ERRORS = ("D", "N", "R", "S", "rendering")
+
+
+def three(value):
+    """A figure with three decimals, without the zero before the point."""
+    return f"{value:.3f}".removeprefix("0")
+
+
+def both(values):
+    """The figures of the seeds, side by side."""
+    return " / ".join(map(three, values))
+
+
+def small(name):
+    """True maps at SIZE pixels."""
+    maps = scenes.linear_maps(name)
+    return Maps(scenes.box(maps.diffuse, SIZE), unit(scenes.box(maps.normal, SIZE)), scenes.box(maps.roughness, SIZE), scenes.box(maps.specular, SIZE))
+
+
+def validation(folder, name, seed):
+    """The last scores of a training, by kind of capture."""
+    lines = (folder / f"{name}-{seed}" / "log.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines if '"validation"' in line][-1]
+
+
+def predictions(folder, names, kind):
+    """Rows of the first table: errors of the networks alone."""
+    rows = []
+    for name in names:
+        scores = [validation(folder, name, seed)["validation"][kind] for seed in SEEDS]
+        rows.append([LABELS[name], *(both(score[error] for score in scores) for error in ERRORS)])
+    return rows
+
+
+def measure(job):
+    """Re-rendering error of one material for every network and stage, by (network, seed, stage)."""
+    folder, binary, name = job
+    truth = small(name)
+    capture = folder / "captures" / name
+    if not (capture / "light_power.txt").exists():
+        scenes.write_capture(capture, truth)
+    tests = [(place, gamma22(render(truth, place, place, scenes.INTENSITY, scenes.PATCH_SIZE))) for place in scenes.positions()[1]]
+    out = {}
+    for network in FITTED:
+        for seed in SEEDS:
+            for stage, (latent, adapters) in STAGES.items():
+                if network == "no-adapters" and adapters:
+                    continue
+                maps = folder / "fits" / f"{network}-{seed}-{latent}-{adapters}" / name
+                steps = ["--latent-steps", str(latent), "--adapter-steps", str(adapters), "--no-early-stop", "--threads", "1"]
+                weights = folder / f"{network}-{seed}.safetensors"
+                command = [binary, "fit", capture, "--views", "0,1,2,3", "--weights", weights, *steps, "--format", "tiff", "-q", "-o", maps]
+                maps.parent.mkdir(parents=True, exist_ok=True)
+                subprocess.run(command, check=True)
+                fitted, _ = scenes.load_fit(maps)
+                pictures = (gamma22(render(fitted, place, place, scenes.INTENSITY, scenes.PATCH_SIZE)) - true for place, true in tests)
+                out[network, seed, stage] = statistics.fmean(float(np.sqrt((off**2).mean())) for off in pictures)
+    return out
+
+
+def table(heads, rows):
+    """A markdown table; the first column is text."""
+    lines = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+TEXT = """# Ablations
+
+What the parts of the paper's network and of its fit are worth, and light directions, at the size of training that one CPU core manages: {steps} steps each of four crops of
+96 x 96 pixels (about ten minutes), two seeds, the same materials. Made by `make ablations` (trainings by `python/training/ablations.py`, two hours; measured by `tests/accuracy/ablations.py`).
+The authors trained with some hundred times as many pictures of a network sixteen times as large: these tables tell what is learned first, not what is better in the end.
+
+Cells are the two seeds. Photos are those of the synthetic literature: camera and light together 2.146 half widths above the patch, offsets up to 1.2, four photos.
+
+## The networks by themselves
+24 textures held out of training, 128 x 128 pixels: RMSE of linear diffuse, of (n + 1) / 2, roughness, specular, and of 20 renderings in gamma 2.2. The paper's network at width 16 (7.4 M parameters;
+`paper-16.toml`), which does not know where the light stood.
+
+{paper}
+
+A small photo graph ({parameters:.2f} M parameters, `directions.toml`), trained on captures with all defects, with and without the planes that follow from camera and light (ratio to white, directions, half vectors, hints), with a perfect camera (`near`) and with defects (`real`):
+
+{near}
+
+{real}
+
+## The stages of the paper's fit
+Re-rendering error (20 places, gamma 2.2) on the twelve maps of Deschaintre et al. at 128 x 128 pixels, four photos; {latent} steps on the latent code, {adapters} on the adapters. Without adapters
+there is nothing to optimise in them.
+
+{fits}
+
+## What they say
+{reading}
+"""
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="what python/training/ablations.py wrote")
+    parser.add_argument("--binary", type=Path, default=scenes.ROOT / "target" / "release" / "svbrdf-gcn")
+    parser.add_argument("--report", type=Path, default=scenes.ROOT / "docs")
+    options = parser.parse_args(arguments)
+    kept = options.folder / "fits.json"
+    if not kept.exists():
+        jobs = [(options.folder, options.binary, name) for name in scenes.names("maps")]
+        with multiprocessing.get_context("spawn").Pool(os.cpu_count()) as pool:
+            found = pool.map(measure, jobs, chunksize=1)
+        means = {key: statistics.fmean(errors[key] for errors in found) for key in found[0]}
+        kept.write_text(json.dumps([[*key, value] for key, value in means.items()], indent=1))
+    means = {tuple(key): value for *key, value in json.loads(kept.read_text())}
+    rows = [
+        [LABELS[network], *(both(means[network, seed, stage] for seed in SEEDS) if (network, 1, stage) in means else "–" for stage in STAGES)] for network in FITTED
+    ]
+    heads = ("", "D", "N", "R", "S", "rendering")
+    state = validation(options.folder, "graph", 1)
+    weights = options.folder / "directions-1" / "checkpoint" / "average.safetensors"
+    reading = Path(__file__).with_name("ablations.txt").read_text().strip()
+    text = TEXT.format(
+        steps=state["step"],
+        paper=table(heads, predictions(options.folder, ("graph", "no-graph", "max-pooling", "no-adapters"), "paper 4")),
+        parameters=weights.stat().st_size / 4e6,
+        near=table(("near", *heads[1:]), predictions(options.folder, ("directions", "no-directions"), "near 4")),
+        real=table(("real", *heads[1:]), predictions(options.folder, ("directions", "no-directions"), "real 4")),
+        latent=LATENT_STEPS,
+        adapters=ADAPTER_STEPS,
+        fits=table(("", *STAGES), rows),
+        reading=reading,
+    )
+    (options.report / "ablations.md").write_text(text)
+    print(options.report / "ablations.md")
+
+
+if __name__ == "__main__":
+    main()
