@@ -33,7 +33,7 @@ def trade(path, panels):
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set(title=title, xlabel="seconds a fit", ylabel=error)
         axis.grid(alpha=0.3, which="both")
-        axis.legend(fontsize=8, loc="lower left")
+        axis.legend(fontsize=8, loc="upper right")
     finish(figure, path)
 
 
