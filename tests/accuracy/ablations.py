@@ -126,7 +126,13 @@ there is nothing to optimise in them.
 {fits}
 
 ## What they say
-{reading}
+- **Light directions** are worth most: without them, errors of diffuse albedo double and those of renderings grow by six tenths or more, with both seeds and both kinds of capture. This is why the
+  default network is given them.
+- **The graph of Eq. 2** comes after one plain convolution and after the maximum over photos here: its products of all channels are slow to train, and after {steps} steps it is behind with both seeds. The paper finds the
+  reverse after a full training; nothing here contradicts that, and nothing confirms it.
+- **Adapters** make the training steadier (one of the two seeds without them failed), and their optimisation is what the fit lives on: it takes away a quarter to nearly half of the error. Ten steps on the latent code take away
+  next to nothing, before or without adapters. At this size of training the latent code has little to say yet.
+- **Normals** are as flat with all of them (.033): ten minutes teach colours and gloss, not relief.
 """
 
 
@@ -150,7 +156,6 @@ def main(arguments=None):
     heads = ("", "D", "N", "R", "S", "rendering")
     state = validation(options.folder, "graph", 1)
     weights = options.folder / "directions-1" / "checkpoint" / "average.safetensors"
-    reading = Path(__file__).with_name("ablations.txt").read_text().strip()
     text = TEXT.format(
         steps=state["step"],
         paper=table(heads, predictions(options.folder, ("graph", "no-graph", "max-pooling", "no-adapters"), "paper 4")),
@@ -160,7 +165,6 @@ def main(arguments=None):
         latent=LATENT_STEPS,
         adapters=ADAPTER_STEPS,
         fits=table(("", *STAGES), rows),
-        reading=reading,
     )
     (options.report / "ablations.md").write_text(text)
     print(options.report / "ablations.md")
