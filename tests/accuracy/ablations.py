@@ -103,7 +103,7 @@ TEXT = """# Ablations
 
 What the parts of the paper's network and of its fit are worth, and light directions, at the size of training that one CPU core manages: {steps} steps each of four crops of
 96 x 96 pixels (about ten minutes), two seeds, the same materials. Made by `make ablations` (trainings by `python/training/ablations.py`, two hours; measured by `tests/accuracy/ablations.py`).
-The authors trained with some hundred times as many pictures of a network sixteen times as large: these tables tell what is learned first, not what is better in the end.
+The authors trained a network sixteen times as large for three days on four GPUs: these tables tell what is learned first, not what is better in the end.
 
 Cells are the two seeds. Photos are those of the synthetic literature: camera and light together 2.146 half widths above the patch, offsets up to 1.2, four photos.
 
@@ -126,7 +126,7 @@ there is nothing to optimise in them.
 {fits}
 
 ## What they say
-- **Light directions** are worth most: without them, errors of diffuse albedo double and those of renderings grow by six tenths or more, with both seeds and both kinds of capture. This is why the
+- **Light directions** are worth most: without them, errors of diffuse albedo about double and those of renderings grow by six tenths or more, with both seeds and both kinds of capture. This is why the
   default network is given them.
 - **The graph of Eq. 2** comes after one plain convolution and after the maximum over photos here: its products of all channels are slow to train, and after {steps} steps it is behind with both seeds. The paper finds the
   reverse after a full training; nothing here contradicts that, and nothing confirms it.
