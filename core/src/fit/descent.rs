@@ -106,7 +106,10 @@ fn run(
     };
     // The best loss after each evaluation, to look back over the window of the early stop.
     let mut best_losses = Vec::with_capacity(steps + 1);
-    control.report(stage, before, whole, None)?;
+    // A descent that goes on with a stage has nothing to report yet.
+    if before == 0 {
+        control.report(stage, 0, whole, None)?;
+    }
     for step in 0..=steps {
         let last = step == steps;
         let loss = evaluate(params, (!last).then_some(&mut gradient[..]), control)?;
