@@ -270,6 +270,9 @@ impl Capture {
                 let photo = develop(&entry.name, entry.shot, stored.pixels(), encoding, options.size)?;
                 Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
             })
+            .collect::<Vec<_>>()
+            // Of several bad photos the first is reported, every time.
+            .into_iter()
             .collect::<Result<Vec<_>>>()?;
         Self::assemble(loaded, patch_size, encoding.transfer, unit, options.size, warning)
     }
@@ -327,6 +330,9 @@ impl Capture {
                 let pixels = Pixels { width, height, channels, samples };
                 develop(name, encoding.shot(name, shot)?, pixels, encoding, options.size)
             })
+            .collect::<Vec<_>>()
+            // Of several bad photos the first is reported, every time.
+            .into_iter()
             .collect::<Result<Vec<_>>>()?;
         Self::assemble(loaded, patch_size, encoding.transfer, None, options.size, warning)
     }
