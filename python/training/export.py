@@ -57,7 +57,8 @@ def paper_network(config):
 
 def write(path, tensors, config, facts, dtype):
     """Write `tensors` in `dtype`; `config` is a whole configuration, `facts` are further metadata."""
-    if config["network"] == "paper":
+    # Checkpoints of the Rust trainer, and old ones, do not name the network.
+    if config.get("network") == "paper":
         settings = config["paper"]
         form = {"networks": json.dumps([paper_network(settings)])}
         tensors = tensors if settings["adapters"] else paper.with_adapters(tensors)

@@ -15,8 +15,9 @@ from pathlib import Path
 
 os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
 
-import numpy as np  # noqa: E402
 import scenes  # noqa: E402
+from metrics import rmse  # noqa: E402
+from report import table, three  # noqa: E402
 from shading import Maps, gamma22, render, unit  # noqa: E402
 
 SIZE = 128
@@ -34,11 +35,6 @@ LABELS = {
 FITTED = ("graph", "no-graph", "no-adapters")
 STAGES = {"network only": (0, 0), "+ latent": (LATENT_STEPS, 0), "+ adapters": (0, ADAPTER_STEPS), "+ latent + adapters": (LATENT_STEPS, ADAPTER_STEPS)}
 ERRORS = ("D", "N", "R", "S", "rendering")
-
-
-def three(value):
-    """A figure with three decimals, without the zero before the point."""
-    return f"{value:.3f}".removeprefix("0")
 
 
 def both(values):
@@ -88,15 +84,9 @@ def measure(job):
                 maps.parent.mkdir(parents=True, exist_ok=True)
                 subprocess.run(command, check=True)
                 fitted, _ = scenes.load_fit(maps)
-                pictures = (gamma22(render(fitted, place, place, scenes.INTENSITY, scenes.PATCH_SIZE)) - true for place, true in tests)
-                out[network, seed, stage] = statistics.fmean(float(np.sqrt((off**2).mean())) for off in pictures)
+                pictures = (gamma22(render(fitted, place, place, scenes.INTENSITY, scenes.PATCH_SIZE)) for place, _ in tests)
+                out[network, seed, stage] = statistics.fmean(rmse(picture, true) for picture, (_, true) in zip(pictures, tests, strict=True))
     return out
-
-
-def table(heads, rows):
-    """A markdown table; the first column is text."""
-    lines = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
 TEXT = """# Ablations
