@@ -79,6 +79,32 @@ fn tiff() {
     assert_close(&decode(&files::tiff(4, 3, 2, 32, 3, 1, &le(&grey_alpha, f32::to_le_bytes))), &RGB, 0.0);
 }
 
+/// Strips and tiles of LZW codes, as programs write them: rows end inside of codes, and some leave the closing code out.
+#[test]
+fn tiff_in_lzw() {
+    for seed in 0..40u64 {
+        let (width, height) = (37, 21);
+        let values: Vec<u16> =
+            (0..width * height * 3).map(|i| ((i * 37 + i / 7) as u64 * (seed + 3) / 5 % 251) as u16 * 257).collect();
+        let expected: Vec<f32> = values.iter().map(|&value| f32::from(value) / 65535.0).collect();
+        for layout in files::LZW_LAYOUTS {
+            let image = decode(&files::tiff_lzw(width, height, &values, layout));
+            assert_eq!(
+                (image.width(), image.height(), image.channels()),
+                (width, height, 3),
+                "seed {seed}, {layout:?}"
+            );
+            assert_eq!(image.data(), expected, "seed {seed}, {layout:?}");
+        }
+    }
+    // Half of a stream is an error, not half of an image; a stream that is longer than its tile is cut.
+    let whole = files::tiff_lzw(16, 16, &[7; 768], files::LZW_LAYOUTS[0]);
+    let short = files::tiff_lzw(16, 16, &[7; 384], files::LZW_LAYOUTS[0]);
+    assert_close(&decode(&whole), &[7.0 / 65535.0; 768], 0.0);
+    assert!(decode_image("x.tif", &short, Transfer::Linear).is_err());
+    assert_close(&decode(&files::tiff_lzw(16, 16, &[7; 800], files::LZW_LAYOUTS[0])), &[7.0 / 65535.0; 768], 0.0);
+}
+
 #[test]
 fn tiff_orientation_is_applied_and_said() {
     // Orientation 6: the first stored row is the right edge of the picture.
@@ -232,11 +258,13 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
     #[test]
-    fn damaged_files_are_errors_or_images(which in 0usize..4, changes in vec((any::<Index>(), any::<u8>()), 1..6), cut in any::<Index>()) {
+    fn damaged_files_are_errors_or_images(which in 0usize..6, changes in vec((any::<Index>(), any::<u8>()), 1..6), cut in any::<Index>()) {
         let mut file = match which {
             0 => files::png(4, 4, 6, 16, &[700; 64]),
             1 => files::tiff(4, 4, 3, 16, 1, 5, &[7; 96]),
             2 => files::exr([1, 0, 4, 3], [0, 0, 4, 4], &[("G", &[0.5; 12]), ("R", &[0.25; 12])]),
+            3 => files::tiff_lzw(5, 4, &[9; 60], files::LZW_LAYOUTS[0]),
+            4 => files::tiff_lzw(5, 4, &[9; 60], files::LZW_LAYOUTS[3]),
             _ => jpeg_file(),
         };
         for (at, byte) in changes {

@@ -11,7 +11,7 @@ use tiff::decoder::{Decoder as TiffDecoder, DecodingResult};
 use tiff::tags::Tag;
 use tiff::{ColorType, TiffError};
 
-use super::exr;
+use super::{exr, lzw};
 use crate::color::Transfer;
 use crate::error::{Error, Result};
 use crate::image::Image;
@@ -364,7 +364,7 @@ fn image_error(path: &Path, error: ImageError) -> Error {
     }
 }
 
-fn tiff_error(path: &Path, error: TiffError) -> Error {
+pub(super) fn tiff_error(path: &Path, error: TiffError) -> Error {
     match error {
         TiffError::UnsupportedError(error) => unsupported(path, error.to_string()),
         TiffError::IoError(error) => Error::io(path, error),
@@ -374,10 +374,11 @@ fn tiff_error(path: &Path, error: TiffError) -> Error {
 
 fn decode_tiff(path: &Path, bytes: &[u8]) -> Result<Stored> {
     let error = |e| tiff_error(path, e);
+    let plausible = plausible_bytes(bytes.len()).min(MAX_DECODED_BYTES);
     let mut limits = tiff::decoder::Limits::default();
     limits.decoding_buffer_size = MAX_DECODED_BYTES as usize;
-    limits.intermediate_buffer_size = plausible_bytes(bytes.len()).min(MAX_DECODED_BYTES) as usize;
-    let mut decoder = TiffDecoder::new(Cursor::new(bytes)).map_err(error)?.with_limits(limits);
+    limits.intermediate_buffer_size = plausible as usize;
+    let mut decoder = TiffDecoder::new(Cursor::new(bytes)).map_err(error)?.with_limits(limits.clone());
     let (width, height) = decoder.dimensions().map_err(error)?;
     let color = decoder.colortype().map_err(error)?;
     let channels = match color {
@@ -395,7 +396,12 @@ fn decode_tiff(path: &Path, bytes: &[u8]) -> Result<Stored> {
     let orientation = decoder.find_tag_unsigned::<u8>(Tag::Orientation).ok().flatten().and_then(Orientation::from_exif);
 
     let mut decoded = DecodingResult::U8(Vec::new());
-    let layout = decoder.read_image_to_buffer(&mut decoded).map_err(error)?;
+    let layout = match lzw::unpacked(path, bytes, &mut decoder, usize::from(bits / 8), channels, plausible)? {
+        Some(file) => TiffDecoder::new(Cursor::new(file))
+            .and_then(|decoder| decoder.with_limits(limits).read_image_to_buffer(&mut decoded)),
+        None => decoder.read_image_to_buffer(&mut decoded),
+    };
+    let layout = layout.map_err(error)?;
     let planes = layout.planes;
     let samples = match decoded {
         DecodingResult::U8(values) => OwnedSamples::U8(interleaved(values, planes)),

@@ -9,6 +9,7 @@ mod decode;
 mod encode;
 mod exr;
 mod font;
+mod lzw;
 pub mod material;
 pub mod preview;
 pub(crate) mod resize;

@@ -95,6 +95,125 @@ pub fn tiff(width: u32, height: u32, channels: u16, bits: u16, format: u16, orie
     file
 }
 
+/// How [`tiff_lzw`] lays a file out.
+#[derive(Clone, Copy, Debug)]
+pub struct LzwLayout {
+    /// Bytes of a number from the highest to the lowest.
+    pub big_endian: bool,
+    /// The form for files above 4 GiB.
+    pub big_tiff: bool,
+    /// Tiles of 16 x 16 instead of one strip.
+    pub tiles: bool,
+    /// The closing code of every stream.
+    pub closed: bool,
+}
+
+pub const LZW_LAYOUTS: [LzwLayout; 5] = {
+    let plain = LzwLayout { big_endian: false, big_tiff: false, tiles: false, closed: true };
+    [
+        plain,
+        LzwLayout { tiles: true, ..plain },
+        LzwLayout { tiles: true, closed: false, ..plain },
+        LzwLayout { tiles: true, big_endian: true, ..plain },
+        LzwLayout { big_endian: true, big_tiff: true, ..plain },
+    ]
+};
+
+/// An LZW-compressed TIFF of 16-bit RGB codes. Of a strip more or fewer `values` than pixels may be given.
+pub fn tiff_lzw(width: usize, height: usize, values: &[u16], layout: LzwLayout) -> Vec<u8> {
+    let LzwLayout { big_endian, big_tiff, tiles, closed } = layout;
+    let bytes = |value: u64, count: usize| {
+        if big_endian { value.to_be_bytes()[8 - count..].to_vec() } else { value.to_le_bytes()[..count].to_vec() }
+    };
+    let packed = |values: &[u16]| {
+        let data: Vec<u8> = values.iter().flat_map(|&value| bytes(value.into(), 2)).collect();
+        let mut encoder = weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8);
+        if closed {
+            return encoder.encode(&data).unwrap();
+        }
+        let mut out = vec![0; 2 * data.len() + 64];
+        let written = encoder.encode_bytes(&data, &mut out).consumed_out;
+        // What is left in the encoder are a code or two: they are written with the closing code, which is cut off.
+        encoder.finish();
+        let rest = encoder.encode_bytes(&[], &mut out[written..]).consumed_out;
+        out.truncate(written + rest - 1);
+        out
+    };
+    let chunks: Vec<Vec<u8>> = if tiles {
+        let value =
+            |x: usize, y: usize, c: usize| if x < width && y < height { values[(y * width + x) * 3 + c] } else { 0 };
+        let tile = |left: usize, top: usize| {
+            let pixels = (0..16).flat_map(|y| (0..16).map(move |x| (left + x, top + y)));
+            let tile: Vec<u16> = pixels.flat_map(|(x, y)| (0..3).map(move |c| value(x, y, c))).collect();
+            packed(&tile)
+        };
+        (0..height.div_ceil(16))
+            .flat_map(|y| (0..width.div_ceil(16)).map(move |x| (16 * x, 16 * y)))
+            .map(|(x, y)| tile(x, y))
+            .collect()
+    } else {
+        vec![packed(values)]
+    };
+
+    let word = if big_tiff { 8 } else { 4 };
+    let mut file = if big_endian { b"MM".to_vec() } else { b"II".to_vec() };
+    file.extend(bytes(if big_tiff { 43 } else { 42 }, 2));
+    if big_tiff {
+        file.extend([bytes(8, 2), bytes(0, 2)].concat());
+    }
+    // Streams and lists come first, then the directory.
+    let mut body: Vec<u8> = Vec::new();
+    let start = file.len() + word;
+    let mut place = |data: &[u8]| {
+        body.extend(data);
+        (start + body.len() - data.len()) as u64
+    };
+    let offsets: Vec<u64> = chunks.iter().map(|chunk| place(chunk)).collect();
+    let mut list = |values: &[u64], size: usize| {
+        let data: Vec<u8> = values.iter().flat_map(|&value| bytes(value, size)).collect();
+        let inline = data.len() <= word;
+        let mut field = if inline { data } else { bytes(place(&data), word) };
+        field.resize(word, 0);
+        field
+    };
+    let lengths: Vec<u64> = chunks.iter().map(|chunk| chunk.len() as u64).collect();
+    let (offsets, lengths) = (list(&offsets, 4), list(&lengths, 4));
+    let bits = list(&[16, 16, 16], 2);
+    let one = |value: usize, size: usize| {
+        let mut field = bytes(value as u64, size);
+        field.resize(word, 0);
+        field
+    };
+    let mut entries = vec![
+        (256u64, 4u64, 1, one(width, 4)),
+        (257, 4, 1, one(height, 4)),
+        (258, 3, 3, bits),
+        (259, 3, 1, one(5, 2)),
+        (262, 3, 1, one(2, 2)),
+        (277, 3, 1, one(3, 2)),
+    ];
+    let count = chunks.len() as u64;
+    if tiles {
+        entries.extend([
+            (322, 3, 1, one(16, 2)),
+            (323, 3, 1, one(16, 2)),
+            (324, 4, count, offsets),
+            (325, 4, count, lengths),
+        ]);
+    } else {
+        entries.extend([(273, 4, 1, offsets), (278, 4, 1, one(height, 4)), (279, 4, 1, lengths)]);
+        entries.sort_by_key(|entry| entry.0);
+    }
+    file.extend(bytes((start + body.len()) as u64, word));
+    file.extend(body);
+    file.extend(bytes(entries.len() as u64, if big_tiff { 8 } else { 2 }));
+    for (tag, kind, count, value) in entries {
+        file.extend([bytes(tag, 2), bytes(kind, 2), bytes(count, word), value].concat());
+    }
+    file.extend(bytes(0, word));
+    file
+}
+
 /// An uncompressed OpenEXR file of float channels (sorted by name, as the format wants): `data` and `display` are
 /// (x, y, width, height); every channel has the data window's samples.
 pub fn exr(data: [i32; 4], display: [i32; 4], channels: &[(&str, &[f32])]) -> Vec<u8> {
