@@ -88,6 +88,10 @@ fn unpack(packed: &[u8], wanted: usize, out: &mut Vec<u8>) -> std::result::Resul
         let step = decoder.decode_bytes(rest, &mut out[start..]);
         out.truncate(start + step.consumed_out);
         rest = &rest[step.consumed_in..];
+        // What follows a full strip does not matter, valid or not.
+        if out.len() == end {
+            break;
+        }
         match step.status? {
             LzwStatus::Ok if step.consumed_out + step.consumed_in > 0 => {}
             _ => break,
