@@ -27,8 +27,9 @@ use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::render::{Target, photo_loss};
 
-/// Colour groups.
+/// Colour groups, and how many at most where they only correct a prediction.
 const GROUPS: usize = 32;
+const CORRECTED_GROUPS: usize = 4;
 /// Rounds: after each, pixels are grouped anew by the diffuse albedo that was found, which highlights reach less than the first estimate, and the
 /// light of every photo is estimated. Steps of a round at least.
 const ROUNDS: usize = 4;
@@ -47,16 +48,14 @@ const REHEARSAL_STEPS: usize = 100;
 const REHEARSAL_GAIN: f64 = 0.2;
 /// Standard deviation of a pixel's specular albedo and roughness from its group's, in logits.
 const OWN_DEVIATION: f64 = 0.2;
-/// Standard deviation of a pixel's diffuse albedo from its start, in logits: weak, decides only where no photo does.
-const DIFFUSE_DEVIATION: f64 = 5.0;
 /// Where specular albedo starts and what it returns to without evidence: a dielectric's 4 %, in logits.
 const SPECULAR_LOGIT: f32 = -3.178;
 /// Likewise for its roughness: 0.5.
 const ROUGHNESS_LOGIT: f32 = 0.0;
-/// Standard deviation of a group's offsets from the start, in logits.
-const GROUP_DEVIATION: f64 = 2.0;
-/// The prior of a group counts as if this share of its pixels spoke for it.
-const GROUP_EVIDENCE: f64 = 0.002;
+/// From a flat start the diffuse albedo is free where a photo says anything, and groups may be anything.
+const FLAT: Spread = Spread { diffuse: 5.0, group: 2.0, evidence: 0.002 };
+/// Around a prediction a pixel's diffuse albedo stays near it: a single photo would put its highlight there.
+const AROUND: Spread = Spread { diffuse: 0.3, group: 1.0, evidence: 0.02 };
 /// In the search before the descent it counts as if this share did: a lobe that no photo shows must not be made up from noise.
 const SEARCH_EVIDENCE: f64 = 0.04;
 /// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
@@ -66,6 +65,17 @@ const LEARNING_RATE: f64 = 0.03;
 /// Steps of group values are longer by this factor, and those of the common tilt shorter.
 const GROUP_STEP: f32 = 2.0;
 const TILT_STEP: f32 = 1.0 / 3.0;
+
+/// How far values may be from where they start.
+#[derive(Clone, Copy)]
+struct Spread {
+    /// Standard deviation of a pixel's diffuse albedo, in logits.
+    diffuse: f64,
+    /// Standard deviation of a group's offsets, in logits.
+    group: f64,
+    /// The prior of a group counts as if this share of its pixels spoke for it.
+    evidence: f64,
+}
 
 /// What is fitted.
 #[derive(Clone, Debug)]
@@ -118,6 +128,30 @@ pub(crate) fn fit_direct(
     tracing::debug!("light of the photos: {gains:.3?}");
     stages.push(StageReport::new(Stage::Direct, &whole, begun.elapsed().as_secs_f64()));
     Ok(Direct { maps, gains })
+}
+
+/// Corrects maps that were predicted where pixels of one colour are wrong together: specular albedo and roughness of a colour group and the common
+/// tilt follow the photos, what distinguishes the pixels of a group stays mostly as predicted. `relief` are the slopes of `maps`, less their mean.
+///
+/// For a single photo, which shows every pixel from one side only: over the whole image it still shows the shape of the highlight.
+///
+/// # Errors
+/// As [`fit_direct`].
+pub(crate) fn correct(
+    capture: &Capture,
+    maps: &Maps<f32>,
+    relief: Vec<f32>,
+    options: &FitOptions,
+    stages: &mut Vec<StageReport>,
+    control: &mut Control<'_>,
+) -> Result<Maps<f32>> {
+    let begun = Instant::now();
+    let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
+    control.report(Stage::Direct, 0, steps, None)?;
+    let problem = Problem::around(capture, super::targets(capture)?, maps, relief, options.seed);
+    let (maps, descent) = problem.fit(steps, [0; 2], control)?;
+    stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
+    Ok(maps)
 }
 
 /// Whether photos that are left out are predicted better with `relief` than from a flat surface, on a part of the pixels.
@@ -209,12 +243,18 @@ struct Problem {
     memberships: Vec<Membership>,
     /// Logits of the diffuse albedo at the start, three planes.
     diffuse: Vec<f32>,
-    /// What the groups start from, and the tilt.
-    found: Vec<Found>,
+    /// Logits of specular albedo and roughness to which the offsets of groups and pixels are added, four planes.
+    base: Vec<f32>,
+    /// What the groups start from: offsets of specular albedo and roughness, in logits; and the tilt.
+    groups: Vec<[f32; 4]>,
     tilt: [f64; 2],
     /// Slopes to which those of the pixels are added, two planes.
     relief: Option<Vec<f32>>,
+    spread: Spread,
 }
+
+/// Where specular albedo and roughness start without a prediction, in logits.
+const BASE: [f32; 4] = [SPECULAR_LOGIT, SPECULAR_LOGIT, SPECULAR_LOGIT, ROUGHNESS_LOGIT];
 
 impl Problem {
     fn new(capture: &Capture, targets: Vec<Target>, seed: u64) -> Result<Self> {
@@ -226,7 +266,7 @@ impl Problem {
         let layout = Layout { pixels, groups };
         let square = |x: f64| x * x;
         let unit = PHOTO_DEVIATION * PHOTO_DEVIATION;
-        let group = unit * SEARCH_EVIDENCE / GROUP_DEVIATION.powi(2);
+        let group = unit * SEARCH_EVIDENCE / FLAT.group.powi(2);
         let off = |value: f64, start: f32| logit(value as f32) - start;
         let prior = Prior {
             specular: &|s| group * square(off(s, SPECULAR_LOGIT).into()),
@@ -254,20 +294,39 @@ impl Problem {
             layout,
             memberships,
             diffuse,
-            found,
+            base: BASE.iter().flat_map(|&logit| std::iter::repeat_n(logit, pixels)).collect(),
+            groups: found.iter().map(offsets).collect(),
             tilt,
             relief: None,
+            spread: FLAT,
         })
+    }
+
+    /// A problem that stays near `maps`.
+    fn around(capture: &Capture, targets: Vec<Target>, maps: &Maps<f32>, relief: Vec<f32>, seed: u64) -> Self {
+        let (width, height) = (capture.width(), capture.height());
+        let pixels = width * height;
+        let (diffuse, memberships, groups) = grouped(maps, CORRECTED_GROUPS, seed);
+        Self {
+            targets,
+            patch_size: capture.patch_size(),
+            width,
+            height,
+            layout: Layout { pixels, groups },
+            memberships,
+            diffuse,
+            base: lobe_planes(maps).iter().flat_map(|plane| plane.iter().map(|&value| logit(inside(value)))).collect(),
+            groups: vec![[0.0; 4]; groups],
+            tilt: [0.0; 2],
+            relief: Some(relief),
+            spread: AROUND,
+        }
     }
 
     /// Groups pixels anew, by the diffuse albedo of `maps`, where the next descent begins.
     fn regroup(&mut self, maps: &Maps<f32>, seed: u64) {
-        let pixels = self.layout.pixels;
-        let diffuse = &maps.data()[DIFFUSE_PLANE * pixels..][..3 * pixels];
-        let encoded: Vec<f32> = diffuse.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
-        let (memberships, groups) = soft_groups(&encoded, pixels, GROUPS, seed);
-        let specular = maps.lobe().specular_plane();
-        let planes = [specular, specular + 1, specular + 2, ROUGHNESS_PLANE].map(|plane| maps.plane(plane));
+        let (diffuse, memberships, groups) = grouped(maps, GROUPS, seed);
+        let planes = lobe_planes(maps);
         let mut sums = vec![([0.0f64; 4], 0.0f64); groups];
         for (p, membership) in memberships.iter().enumerate() {
             for &(group, weight) in membership {
@@ -278,12 +337,11 @@ impl Problem {
                 }
             }
         }
-        let found = |(sum, total): ([f64; 4], f64)| {
-            let mean = sum.map(|sum| f64::from(sigmoid((sum / total.max(f64::MIN_POSITIVE)) as f32)));
-            Found { specular: [mean[0], mean[1], mean[2]], roughness: mean[3] }
+        let offset = |(sum, total): &([f64; 4], f64)| {
+            [0, 1, 2, 3].map(|i| (sum[i] / total.max(f64::MIN_POSITIVE)) as f32 - BASE[i])
         };
-        self.found = sums.into_iter().map(found).collect();
-        self.diffuse = diffuse.iter().map(|&value| logit(inside(value))).collect();
+        self.groups = sums.iter().map(offset).collect();
+        self.diffuse = diffuse;
         self.memberships = memberships;
         self.layout.groups = groups;
     }
@@ -318,12 +376,10 @@ impl Problem {
         let layout = self.layout;
         let mut params = vec![0.0; layout.len()];
         params[..layout.slope()].copy_from_slice(&self.diffuse);
-        for (g, found) in self.found.iter().enumerate() {
-            let offset = |value: f64, start: f32| (logit(value as f32) - start) / GROUP_STEP;
-            for c in 0..3 {
-                params[layout.specular_group() + c * layout.groups + g] = offset(found.specular[c], SPECULAR_LOGIT);
+        for (g, offsets) in self.groups.iter().enumerate() {
+            for (i, offset) in offsets.iter().enumerate() {
+                params[layout.specular_group() + i * layout.groups + g] = offset / GROUP_STEP;
             }
-            params[layout.roughness_group() + g] = offset(found.roughness, ROUGHNESS_LOGIT);
         }
         for c in 0..2 {
             params[layout.tilt() + c] = self.tilt[c] as f32 / TILT_STEP;
@@ -340,10 +396,11 @@ impl Problem {
         photo_loss(maps, self.patch_size, &self.targets, gradient)
     }
 
-    /// Where a quantity starts, plus the offset of its group at every pixel, plus the pixel's own deviation.
-    fn mixed_logits<'s>(&'s self, start: f32, values: &'s [f32], own: &'s [f32]) -> impl Iterator<Item = f32> + 's {
-        self.memberships.iter().zip(own).map(move |(&[(a, of_a), (b, of_b)], own)| {
-            start + own + (of_a * values[a as usize] + of_b * values[b as usize]) * GROUP_STEP
+    /// Plane `i` of the base, plus the offset of its group at every pixel, plus the pixel's own deviation.
+    fn mixed_logits<'s>(&'s self, i: usize, values: &'s [f32], own: &'s [f32]) -> impl Iterator<Item = f32> + 's {
+        let base = &self.base[i * self.layout.pixels..];
+        self.memberships.iter().zip(own).zip(base).map(move |((&[(a, of_a), (b, of_b)], own), base)| {
+            base + own + (of_a * values[a as usize] + of_b * values[b as usize]) * GROUP_STEP
         })
     }
 
@@ -380,13 +437,13 @@ impl Problem {
             } else if plane < specular_plane {
                 let groups = &params[layout.roughness_group()..layout.tilt()];
                 let own = &params[layout.roughness_own()..layout.specular_group()];
-                let logits = self.mixed_logits(ROUGHNESS_LOGIT, groups, own);
+                let logits = self.mixed_logits(3, groups, own);
                 out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x).max(ROUGHNESS_MIN));
             } else {
-                let groups =
-                    &params[layout.specular_group() + (plane - specular_plane) * layout.groups..][..layout.groups];
+                let c = plane - specular_plane;
+                let groups = &params[layout.specular_group() + c * layout.groups..][..layout.groups];
                 let own = &params[layout.specular_own()..layout.roughness_own()];
-                let logits = self.mixed_logits(SPECULAR_LOGIT, groups, own);
+                let logits = self.mixed_logits(c, groups, own);
                 out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x));
             }
         });
@@ -437,10 +494,11 @@ impl Problem {
         // photo_loss is 1000 times a mean of squares; as a negative log likelihood it would be their sum over 2 sigma^2.
         let residuals = (self.targets.len() * 3 * n) as f64;
         let unit = 1000.0 * 2.0 * PHOTO_DEVIATION * PHOTO_DEVIATION / residuals;
-        let group_unit = GROUP_EVIDENCE * unit * n as f64 / layout.groups as f64 / GROUP_DEVIATION.powi(2);
+        let Spread { diffuse, group, evidence } = self.spread;
+        let group_unit = evidence * unit * n as f64 / layout.groups as f64 / group.powi(2);
         // (range, where it is pulled to, step factor, weight)
         let terms = [
-            (0..layout.slope(), Some(&self.diffuse), 1.0, unit / DIFFUSE_DEVIATION.powi(2)),
+            (0..layout.slope(), Some(&self.diffuse), 1.0, unit / diffuse.powi(2)),
             (layout.slope()..layout.specular_own(), None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
             (layout.specular_own()..layout.specular_group(), None, 1.0, unit / OWN_DEVIATION.powi(2)),
             (layout.specular_group()..layout.tilt(), None, GROUP_STEP, group_unit),
@@ -507,6 +565,28 @@ fn flat_albedo(photo: &Photo, position: [f64; 2], pixel: usize) -> [f32; 3] {
     })
 }
 
+/// The planes of specular albedo, and that of roughness.
+fn lobe_planes(maps: &Maps<f32>) -> [&[f32]; 4] {
+    let specular = maps.lobe().specular_plane();
+    [specular, specular + 1, specular + 2, ROUGHNESS_PLANE].map(|plane| maps.plane(plane))
+}
+
+/// What a group was found to be, as offsets from where it starts.
+fn offsets(found: &Found) -> [f32; 4] {
+    let [r, g, b] = found.specular;
+    let logits = [r, g, b, found.roughness].map(|value| logit(value as f32));
+    [0, 1, 2, 3].map(|i| logits[i] - BASE[i])
+}
+
+/// Logits of the diffuse albedo of `maps`, and its pixels in at most `count` groups by it.
+fn grouped(maps: &Maps<f32>, count: usize, seed: u64) -> (Vec<f32>, Vec<Membership>, usize) {
+    let pixels = maps.width() * maps.height();
+    let diffuse = &maps.data()[DIFFUSE_PLANE * pixels..][..3 * pixels];
+    let encoded: Vec<f32> = diffuse.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
+    let (memberships, groups) = soft_groups(&encoded, pixels, count, seed);
+    (diffuse.iter().map(|&value| logit(inside(value))).collect(), memberships, groups)
+}
+
 fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
@@ -523,4 +603,69 @@ fn logit(x: f32) -> f32 {
 /// Sum in f64, in order.
 fn sum(values: impl Iterator<Item = f32>) -> f32 {
     values.map(f64::from).sum::<f64>() as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ops::ControlFlow;
+
+    use super::{FitOptions, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE, correct};
+    use crate::capture::{Capture, Photo, Shot};
+    use crate::color::Transfer;
+    use crate::fit::progress::{CancelToken, Control, Progress};
+    use crate::image::Image;
+    use crate::render::render_maps;
+
+    const SIZE: usize = 24;
+    const PIXELS: usize = SIZE * SIZE;
+
+    /// A grey and a red material side by side, with grain.
+    fn maps(roughness: f32, specular: f32) -> Maps<f32> {
+        let lobe = Lobe::Isotropic;
+        let mut maps = Maps::new(lobe, SIZE, SIZE, vec![0.0; lobe.planes() * PIXELS]).unwrap();
+        let first = lobe.specular_plane();
+        for (plane, out) in maps.data_mut().chunks_exact_mut(PIXELS).enumerate() {
+            for (p, out) in out.iter_mut().enumerate() {
+                let grain = 1.0 + 0.1 * (p as f32 * 2.3).sin();
+                *out = match plane {
+                    0 => 0.4 * grain,
+                    1 | 2 => grain * if p % SIZE < SIZE / 2 { 0.1 } else { 0.4 },
+                    _ if plane == NORMAL_PLANE + 2 => 1.0,
+                    ROUGHNESS_PLANE => roughness * grain,
+                    _ if plane >= first => specular,
+                    _ => 0.0,
+                };
+            }
+        }
+        maps
+    }
+
+    #[test]
+    fn one_photo_corrects_what_pixels_share() {
+        let shot = Shot { camera: [0.0, 0.0, 2.2], light: [0.0, 0.0, 2.2], light_intensity: [12.0; 3] };
+        let truth = maps(0.3, 0.06);
+        let image = Image::from_planar(SIZE, SIZE, 3, &render_maps(&truth, 2.0, &shot).unwrap()).unwrap();
+        let photo = Photo { name: "0".into(), shot, image, saturated: vec![0; PIXELS] };
+        let capture = Capture::new(vec![photo], 2.0, Transfer::Linear).unwrap();
+        let predicted = maps(0.6, 0.03);
+        let mut callback = |_: &Progress| ControlFlow::Continue(());
+        let mut control = Control::new(&mut callback, CancelToken::new());
+        let mut stages = Vec::new();
+        let options = FitOptions::default();
+        let corrected =
+            correct(&capture, &predicted, vec![0.0; 2 * PIXELS], &options, &mut stages, &mut control).unwrap();
+        assert!(stages[0].best_loss < 0.2 * stages[0].first_loss, "{stages:?}");
+        let off = |maps: &Maps<f32>, plane: usize| {
+            let pairs = maps.plane(plane).iter().zip(truth.plane(plane));
+            (pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>() / PIXELS as f32).sqrt()
+        };
+        for plane in [ROUGHNESS_PLANE, Lobe::Isotropic.specular_plane()] {
+            let (before, after) = (off(&predicted, plane), off(&corrected, plane));
+            assert!(after < 0.4 * before, "plane {plane}: {before} {after}");
+        }
+        // The highlight stays out of the diffuse albedo, and the grain of the roughness stays.
+        assert!(off(&corrected, 0) < 0.02, "{}", off(&corrected, 0));
+        let ratio = |p: usize| corrected.plane(ROUGHNESS_PLANE)[p] / predicted.plane(ROUGHNESS_PLANE)[p];
+        assert!((ratio(0) / ratio(1) - 1.0).abs() < 0.1, "{} {}", ratio(0), ratio(1));
+    }
 }

@@ -1,5 +1,5 @@
 //! The fit with the default network: it predicts the maps and how sure it is of them. What pixels have in common is fitted to the photos
-//! from a flat start ([`direct`](super::direct)), then every pixel by itself ([`finish`](super::finish)).
+//! from a flat start, or, where there is a single photo, around the prediction ([`direct`](super::direct)), then every pixel by itself ([`finish`](super::finish)).
 
 use std::time::Instant;
 
@@ -7,7 +7,7 @@ use crate::capture::Capture;
 use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::deviations::Deviations;
-use crate::fit::direct::fit_direct;
+use crate::fit::direct::{correct, fit_direct};
 use crate::fit::finish::{Belief, Finished, Start, finish};
 use crate::fit::light;
 use crate::fit::options::FitOptions;
@@ -60,10 +60,12 @@ pub(crate) fn fit_predicted(
         seconds: begun.elapsed().as_secs_f64(),
     });
     control.report(Stage::Encode, 1, 1, Some(loss))?;
-    // A single photo's highlight would end up in the diffuse albedo.
-    let shared = if capture.len() == 1 { 0 } else { options.preset.direct_steps() };
     let mut gains = None;
-    if options.direct_steps.unwrap_or(shared) > 0 {
+    if options.direct_steps.unwrap_or(options.preset.direct_steps()) == 0 {
+        // The prediction is what the finish starts from.
+    } else if capture.len() == 1 {
+        maps = correct(capture, &maps, relief(&maps), options, stages, control)?;
+    } else {
         let direct = fit_direct(capture, Some(&relief(&maps)), options, stages, control)?;
         maps = direct.maps;
         gains = Some(direct.gains);
