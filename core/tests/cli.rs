@@ -152,10 +152,13 @@ fn bad_input_is_one_line_that_names_it() {
     let config = folder.path().join("config.toml");
     std::fs::write(&config, "[data]\npack = \"nowhere.zip\"\n").unwrap();
     let (config, broken) = (text(&config), text(&garbage));
-    let cases: [(&[&str], i32, &[&str]); 13] = [
+    let below_a_file = garbage.join("material");
+    let cases: [(&[&str], i32, &[&str]); 14] = [
         (&["fit", text(&missing), "-o", out], 3, &["nowhere"]),
         (&["fit", capture, "-o", out, "--views", "0,9"], 2, &["9", "5"]),
         (&["fit", capture, "-o", out, "--max-memory", "1000"], 6, &["max_memory", "1000"]),
+        // Said before the fit, which would be too large.
+        (&["fit", capture, "-o", text(&below_a_file), "--max-memory", "1000"], 3, &["garbage"]),
         (&["fit", capture, "-o", out, "--threads", "0"], 2, &["threads", "0"]),
         (&["fit", capture, "-o", out, "--size", "0"], 2, &["size", "0"]),
         (&["fit", capture, "-o", out, "--weights", text(&garbage)], 4, &["weights"]),

@@ -1,5 +1,6 @@
 //! `svbrdf-gcn fit`.
 
+use std::io::ErrorKind;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
@@ -133,6 +134,7 @@ pub fn run(args: &FitArgs) -> Result<()> {
     // A host that has its own handler keeps it.
     drop(ctrlc::set_handler(move || on_interrupt.cancel()));
 
+    check_folder(&args.out)?;
     let capture = Capture::open_with(&args.capture.capture, &args.capture.options(args.size))?;
     let model = args.weights.as_deref().map(|path| Model::load_for(path, capture.len())).transpose()?;
     let mut bar = Bar::new(args.quiet || args.json);
@@ -161,6 +163,18 @@ pub fn run(args: &FitArgs) -> Result<()> {
     } else {
         say(&summary(&report, &args.out))
     }
+}
+
+/// Whether `folder` is one, or can become one as far as names tell: better said before the fit than after it.
+fn check_folder(folder: &Path) -> Result<()> {
+    for place in folder.ancestors() {
+        match place.metadata() {
+            Ok(found) if found.is_dir() => return Ok(()),
+            Ok(_) => return Err(Error::io(place, ErrorKind::NotADirectory)),
+            Err(_) => {}
+        }
+    }
+    Ok(())
 }
 
 fn summary(report: &FitReport, out: &Path) -> String {
