@@ -45,7 +45,7 @@ const REHEARSALS: usize = 3;
 const REHEARSAL_SIZE: usize = 64;
 const REHEARSAL_STEPS: usize = 100;
 /// Share of the flat surface's error that the relief has to take away.
-const REHEARSAL_GAIN: f64 = 0.2;
+const REHEARSAL_GAIN: f64 = 0.1;
 /// Standard deviation of a pixel's specular albedo and roughness from its group's, in logits.
 const OWN_DEVIATION: f64 = 0.2;
 /// Where specular albedo starts and what it returns to without evidence: a dielectric's 4 %, in logits.

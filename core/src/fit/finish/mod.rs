@@ -24,6 +24,8 @@ use solve::Cholesky;
 const PHOTO_DEVIATIONS: [f64; 6] = [0.2, 0.1, 0.05, 0.025, 0.0125, 0.006];
 /// Candidates for the share of the network's deviation that is believed, in normals, and in specular albedo and roughness.
 const SHARES: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
+/// Candidates for how far the prior's mean is the network's maps instead of those so far, and of these its normals alone.
+const NETWORK: [f64; 3] = [0.0, 0.5, 1.0];
 /// Pixels on which these are chosen.
 const CHOICE_PIXELS: usize = 1024;
 /// Photos left out at most, one at a time.
@@ -114,14 +116,6 @@ struct Compared {
     slopes: [f64; 5],
 }
 
-/// How far the network's maps take the place of those so far.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Network {
-    Nowhere,
-    Normals,
-    Everywhere,
-}
-
 /// What is believed how much.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Trust {
@@ -130,15 +124,17 @@ struct Trust {
     /// Shares of the network's deviation that are believed, in normals, and in specular albedo and roughness.
     normal: f64,
     specular: f64,
-    /// What is expected as the network has it.
-    network: Network,
+    /// How far what is expected is what the network has, in normals, and elsewhere.
+    network_normal: f64,
+    network: f64,
     /// A photo that does not count.
     without: Option<usize>,
 }
 
 impl Trust {
     /// Where the search begins, and what a single photo gets.
-    const START: Self = Self { photo: 0.025, normal: 0.3, specular: 0.3, network: Network::Nowhere, without: None };
+    const START: Self =
+        Self { photo: 0.025, normal: 0.3, specular: 0.3, network_normal: 0.0, network: 0.0, without: None };
     /// Where the search begins a second time: one value after the other, it does not find the way here from the first.
     const OF_PHOTOS: Self = Self { photo: 0.006, normal: 1.0, specular: 1.0, ..Self::START };
 }
@@ -161,13 +157,9 @@ impl<'a> Problem<'a> {
         let n = self.pixels();
         let mut prior = Prior { mean: [0.0; RAW], weight: [0.0; RAW] };
         for i in 0..RAW {
-            let of_network = match trust.network {
-                Network::Nowhere => false,
-                Network::Normals => (NORMAL..ROUGHNESS).contains(&i),
-                Network::Everywhere => true,
-            };
-            let mean = if of_network { self.start.network } else { self.start.raw };
-            prior.mean[i] = f64::from(mean[i * n + pixel]);
+            let network = if (NORMAL..ROUGHNESS).contains(&i) { trust.network_normal } else { trust.network };
+            let mean = |maps: &[f32]| f64::from(maps[i * n + pixel]);
+            prior.mean[i] = (1.0 - network) * mean(self.start.raw) + network * mean(self.start.network);
             let share = match i {
                 ..NORMAL => 1.0,
                 NORMAL..ROUGHNESS => trust.normal,
@@ -348,9 +340,9 @@ impl<'a> Problem<'a> {
         let sample = self.sample(CHOICE_PIXELS);
         let mut best = (f64::INFINITY, Trust::START);
         // The maps so far have seen all photos, which speaks for them: the network has to be better in spite of that.
-        for network in [Network::Nowhere, Network::Everywhere] {
+        for network in NETWORK {
             for start in [Trust::START, Trust::OF_PHOTOS] {
-                let found = self.search(Trust { network, ..start }, &sample, control)?;
+                let found = self.search(Trust { network, network_normal: network, ..start }, &sample, control)?;
                 if found.0 < best.0 {
                     best = found;
                 }
@@ -368,14 +360,9 @@ impl<'a> Problem<'a> {
     ) -> Result<(f64, Trust)> {
         let mut lowest = self.left_out_error(best, sample);
         type Set = fn(&mut Trust, f64);
-        let normals: Set = |trust, _| {
-            if trust.network == Network::Nowhere {
-                trust.network = Network::Normals;
-            }
-        };
         let searches: [(&[f64], Set); 5] = [
             (&PHOTO_DEVIATIONS, |trust, value| trust.photo = value),
-            (&[1.0], normals),
+            (&NETWORK, |trust, value| trust.network_normal = value),
             (&SHARES, |trust, value| trust.normal = value),
             (&SHARES, |trust, value| trust.specular = value),
             (&PHOTO_DEVIATIONS, |trust, value| trust.photo = value),
