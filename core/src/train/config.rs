@@ -384,7 +384,7 @@ mod tests {
     fn the_files_of_the_other_trainer() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../python/training");
         let default = Configuration::load(folder.join("default.toml"), &[]).unwrap();
-        assert_eq!((default.seconds, default.model.window, default.phase[0].batch), (9600.0, Some(96), 4));
+        assert_eq!((default.seconds, default.model.window, default.phase[0].batch), (15600.0, Some(96), 4));
         assert_eq!((default.optimiser.average, default.optimiser.clip, default.loss.views), (0.998, 1.0, 5));
         let large = Configuration::load(folder.join("large.toml"), &[]).unwrap();
         assert_eq!((large.model.stem, large.model.window), (24, Some(256)));
