@@ -52,11 +52,13 @@ const OWN_DEVIATION: f64 = 0.2;
 const SPECULAR_LOGIT: f32 = -3.178;
 /// Likewise for its roughness: 0.5.
 const ROUGHNESS_LOGIT: f32 = 0.0;
+/// The three channels of one, and the other.
+const BASE: [f32; 4] = [SPECULAR_LOGIT, SPECULAR_LOGIT, SPECULAR_LOGIT, ROUGHNESS_LOGIT];
 /// From a flat start the diffuse albedo is free where a photo says anything, and groups may be anything.
 const FLAT: Spread = Spread { diffuse: 5.0, group: 2.0, evidence: 0.002 };
 /// Around a prediction a pixel's diffuse albedo stays near it: a single photo would put its highlight there.
 const AROUND: Spread = Spread { diffuse: 0.3, group: 1.0, evidence: 0.02 };
-/// In the search before the descent it counts as if this share did: a lobe that no photo shows must not be made up from noise.
+/// In the search before the descent the prior of a group counts as if this share of its pixels spoke for it: a lobe that no photo shows must not be made up from noise.
 const SEARCH_EVIDENCE: f64 = 0.04;
 /// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
 const ROUGHNESS_MIN: f32 = 0.02;
@@ -252,9 +254,6 @@ struct Problem {
     relief: Option<Vec<f32>>,
     spread: Spread,
 }
-
-/// Where specular albedo and roughness start without a prediction, in logits.
-const BASE: [f32; 4] = [SPECULAR_LOGIT, SPECULAR_LOGIT, SPECULAR_LOGIT, ROUGHNESS_LOGIT];
 
 impl Problem {
     fn new(capture: &Capture, targets: Vec<Target>, seed: u64) -> Result<Self> {

@@ -18,7 +18,7 @@ use crate::error::Result;
 const LZW: u16 = 5;
 const UNCOMPRESSED: u16 = 1;
 const SEPARATE_PLANES: u16 = 2;
-const LONG: u16 = 4;
+const LONG: u64 = 4;
 
 /// The file `bytes` with its first image unpacked, or none where that image is not LZW-compressed. `sample_bytes` and `channels`
 /// are its own; at most `limit` bytes are unpacked.
@@ -68,8 +68,8 @@ pub(super) fn unpacked<R: Read + Seek>(
         lengths.push((out.len() - start) as u64);
     }
 
-    let mut directory = Directory::of(&out, decoder.byte_order());
-    let rewritten = directory.as_mut().is_some_and(|directory| {
+    let directory = Directory::of(&out, decoder.byte_order());
+    let rewritten = directory.is_some_and(|directory| {
         directory.set(&mut out, offsets_tag, &places)
             && directory.set(&mut out, counts_tag, &lengths)
             && directory.set(&mut out, Tag::Compression, &[UNCOMPRESSED.into()])
@@ -121,43 +121,36 @@ impl Directory {
 
     /// Makes `values` the value of the entry `tag`; what does not fit into the entry goes to the end of the file. False where
     /// there is no such entry or the numbers do not fit.
-    fn set(&mut self, file: &mut Vec<u8>, tag: Tag, values: &[u64]) -> bool {
+    fn set(&self, file: &mut Vec<u8>, tag: Tag, values: &[u64]) -> bool {
         let (size, width) = if self.wide { (20, 8) } else { (12, 4) };
         let entry = (0..self.entries)
             .map(|i| self.first + i * size)
             .find(|&at| at + size <= file.len() && read_number(file, self.order, at, 2) == Some(tag.to_u16().into()));
         let Some(entry) = entry else { return false };
-        let Ok(values) = values.iter().map(|&value| u32::try_from(value)).collect::<std::result::Result<Vec<_>, _>>()
-        else {
+        let end = file.len() as u64;
+        if values.iter().chain([&end]).any(|&value| value > u32::MAX.into()) {
             return false;
-        };
-        let fits = values.len() * 4 <= width;
-        let Ok(end) = u32::try_from(file.len()) else { return false };
-        let order = self.order;
-        let long = |value: u32| match order {
-            ByteOrder::LittleEndian => value.to_le_bytes(),
-            ByteOrder::BigEndian => value.to_be_bytes(),
-        };
-        let wide = |value: u32| match order {
-            ByteOrder::LittleEndian => u64::from(value).to_le_bytes(),
-            ByteOrder::BigEndian => u64::from(value).to_be_bytes(),
-        };
-        let field = |value: u32| if width == 8 { wide(value).to_vec() } else { long(value).to_vec() };
-        let kind = match order {
-            ByteOrder::LittleEndian => LONG.to_le_bytes(),
-            ByteOrder::BigEndian => LONG.to_be_bytes(),
-        };
-        let data: Vec<u8> = values.iter().flat_map(|&value| long(value)).collect();
-        file[entry + 2..entry + 4].copy_from_slice(&kind);
-        file[entry + 4..entry + 4 + width].copy_from_slice(&field(values.len() as u32));
-        let value = entry + 4 + width..entry + 4 + 2 * width;
-        if fits {
-            file[value.start..value.start + data.len()].copy_from_slice(&data);
+        }
+        let number = |value: u64, bytes: usize| written_number(self.order, value, bytes);
+        let data: Vec<u8> = values.iter().flat_map(|&value| number(value, 4)).collect();
+        file[entry + 2..entry + 4].copy_from_slice(&number(LONG, 2));
+        file[entry + 4..][..width].copy_from_slice(&number(values.len() as u64, width));
+        let value = &mut file[entry + 4 + width..][..width];
+        if data.len() <= width {
+            value[..data.len()].copy_from_slice(&data);
         } else {
-            file[value].copy_from_slice(&field(end));
+            value.copy_from_slice(&number(end, width));
             file.extend(data);
         }
         true
+    }
+}
+
+/// The lowest `bytes` of `value` as a file of this order has them.
+fn written_number(order: ByteOrder, value: u64, bytes: usize) -> Vec<u8> {
+    match order {
+        ByteOrder::LittleEndian => value.to_le_bytes()[..bytes].to_vec(),
+        ByteOrder::BigEndian => value.to_be_bytes()[8 - bytes..].to_vec(),
     }
 }
 
