@@ -260,8 +260,7 @@ impl Problem {
         let (width, height) = (capture.width(), capture.height());
         let pixels = width * height;
         let albedo = diffuse_start(capture);
-        let encoded: Vec<f32> = albedo.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
-        let (memberships, groups) = soft_groups(&encoded, pixels, GROUPS, seed);
+        let (memberships, groups) = colour_groups(&albedo, GROUPS, seed);
         let layout = Layout { pixels, groups };
         let square = |x: f64| x * x;
         let unit = PHOTO_DEVIATION * PHOTO_DEVIATION;
@@ -305,7 +304,7 @@ impl Problem {
     fn around(capture: &Capture, targets: Vec<Target>, maps: &Maps<f32>, relief: Vec<f32>, seed: u64) -> Self {
         let (width, height) = (capture.width(), capture.height());
         let pixels = width * height;
-        let (diffuse, memberships, groups) = grouped(maps, CORRECTED_GROUPS, seed);
+        let (memberships, groups) = colour_groups(diffuse_planes(maps), CORRECTED_GROUPS, seed);
         Self {
             targets,
             patch_size: capture.patch_size(),
@@ -313,8 +312,8 @@ impl Problem {
             height,
             layout: Layout { pixels, groups },
             memberships,
-            diffuse,
-            base: lobe_planes(maps).iter().flat_map(|plane| plane.iter().map(|&value| logit(inside(value)))).collect(),
+            diffuse: logits(diffuse_planes(maps)).collect(),
+            base: lobe_planes(maps).into_iter().flat_map(logits).collect(),
             groups: vec![[0.0; 4]; groups],
             tilt: [0.0; 2],
             relief: Some(relief),
@@ -324,7 +323,7 @@ impl Problem {
 
     /// Groups pixels anew, by the diffuse albedo of `maps`, where the next descent begins.
     fn regroup(&mut self, maps: &Maps<f32>, seed: u64) {
-        let (diffuse, memberships, groups) = grouped(maps, GROUPS, seed);
+        let (memberships, groups) = colour_groups(diffuse_planes(maps), GROUPS, seed);
         let planes = lobe_planes(maps);
         let mut sums = vec![([0.0f64; 4], 0.0f64); groups];
         for (p, membership) in memberships.iter().enumerate() {
@@ -340,7 +339,7 @@ impl Problem {
             [0, 1, 2, 3].map(|i| (sum[i] / total.max(f64::MIN_POSITIVE)) as f32 - BASE[i])
         };
         self.groups = sums.iter().map(offset).collect();
-        self.diffuse = diffuse;
+        self.diffuse = logits(diffuse_planes(maps)).collect();
         self.memberships = memberships;
         self.layout.groups = groups;
     }
@@ -577,13 +576,20 @@ fn offsets(found: &Found) -> [f32; 4] {
     [0, 1, 2, 3].map(|i| logits[i] - BASE[i])
 }
 
-/// Logits of the diffuse albedo of `maps`, and its pixels in at most `count` groups by it.
-fn grouped(maps: &Maps<f32>, count: usize, seed: u64) -> (Vec<f32>, Vec<Membership>, usize) {
-    let pixels = maps.width() * maps.height();
-    let diffuse = &maps.data()[DIFFUSE_PLANE * pixels..][..3 * pixels];
+/// Pixels in at most `count` groups by three planes of diffuse albedo, and how many groups there are.
+fn colour_groups(diffuse: &[f32], count: usize, seed: u64) -> (Vec<Membership>, usize) {
     let encoded: Vec<f32> = diffuse.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
-    let (memberships, groups) = soft_groups(&encoded, pixels, count, seed);
-    (diffuse.iter().map(|&value| logit(inside(value))).collect(), memberships, groups)
+    soft_groups(&encoded, diffuse.len() / 3, count, seed)
+}
+
+/// The three planes of diffuse albedo.
+fn diffuse_planes(maps: &Maps<f32>) -> &[f32] {
+    let pixels = maps.width() * maps.height();
+    &maps.data()[DIFFUSE_PLANE * pixels..][..3 * pixels]
+}
+
+fn logits(values: &[f32]) -> impl Iterator<Item = f32> + '_ {
+    values.iter().map(|&value| logit(inside(value)))
 }
 
 fn sigmoid(x: f32) -> f32 {
