@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""Trains a network: train.py CONFIG -o FOLDER [--seconds 540] [--set optimiser.rate=5e-4 ...]
+"""Trains a network: train.py CONFIG -o FOLDER [--from WEIGHTS] [--seconds 540] [--set optimiser.rate=5e-4 ...]
 
 Goes on from FOLDER/checkpoint if there is one, exactly where it stopped: random numbers follow from seed and step. FOLDER/log.jsonl gets a
-line every few steps and one per validation. With --seconds the call ends in time, with a checkpoint. Needs PyTorch, numpy, Pillow.
+line every few steps and one per validation. With --seconds the call ends in time, with a checkpoint. With --from a new training begins at
+the weights of an exported file, with fresh moments and its own schedule; a folder that holds a checkpoint already goes on from that.
+Needs PyTorch, numpy, Pillow.
 """
 
 import argparse
@@ -128,6 +130,19 @@ class Trainer:
         os.rename(fresh, place)
         shutil.rmtree(old, ignore_errors=True)
 
+    def start_from(self, path):
+        """Begin at the weights of an exported file; the optimiser, the schedule and the moving average start afresh."""
+        weights, metadata = store.load(path)
+        architecture = json.loads(metadata.get("architecture", "{}"))
+        # The window decides over how many pixels attention averages; no tensor depends on it.
+        differing = [key for key in self.config["model"] if key != "window" and architecture.get(key) != self.config["model"][key]]
+        if differing or {n: t.shape for n, t in weights.items()} != {n: p.shape for n, p in self.named.items()}:
+            raise SystemExit(f"--from {path}: its network differs from the configuration's in {', '.join(differing) or 'its tensors'}")
+        with torch.no_grad():
+            for name, p in self.named.items():
+                p.copy_(weights[name])
+                self.average[name].copy_(weights[name])
+
     def load(self, folder):
         """Go on from FOLDER/checkpoint. Without the files of the moments the optimiser starts afresh, and says so."""
         place = Path(folder) / "checkpoint"
@@ -167,6 +182,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("config")
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--from", dest="start", type=Path, metavar="WEIGHTS", help="begin a new training at these exported weights")
     parser.add_argument("--seconds", type=float, default=math.inf, help="end the call after so many seconds")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
@@ -186,6 +202,8 @@ def main(arguments=None):
     options.output.mkdir(parents=True, exist_ok=True)
     if (options.output / "checkpoint").exists() or (options.output / "checkpoint.old").exists():
         trainer.load(options.output)
+    elif options.start:
+        trainer.start_from(options.start)
     data = Data(config, device)
     validation = held_out(open_pack(config["data"]["pack"], validation=True)[1].to(device), config["validation"]["size"])
     parameters, multiply_adds = cost(configuration.network(config))
