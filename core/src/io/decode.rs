@@ -7,11 +7,8 @@ use image::codecs::jpeg::JpegDecoder;
 use image::codecs::png::PngDecoder;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageError};
-use tiff::decoder::{Decoder as TiffDecoder, DecodingResult};
-use tiff::tags::Tag;
-use tiff::{ColorType, TiffError};
 
-use super::{exr, lzw};
+use super::{exr, jpeg, tiff};
 use crate::color::Transfer;
 use crate::error::{Error, Result};
 use crate::image::Image;
@@ -120,7 +117,7 @@ impl Stored {
     }
 
     /// Turns the image the way its orientation tag asks for.
-    fn orient(self, orientation: Orientation) -> Self {
+    pub(super) fn orient(self, orientation: Orientation) -> Self {
         if orientation == Orientation::NoTransforms {
             return self;
         }
@@ -257,12 +254,35 @@ pub(crate) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
         [] => Err(broken(path, "the file is empty")),
         [0x89, b'P', b'N', b'G', ..] => decode_png(path, bytes),
         [0xff, 0xd8, 0xff, ..] => decode_jpeg(path, bytes),
-        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => decode_tiff(path, bytes),
+        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff::decode(path, bytes),
         [0x76, 0x2f, 0x31, 0x01, ..] => exr::decode(path, bytes),
-        _ => {
-            let start: Vec<String> = bytes.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
-            Err(unsupported(path, format!("starts with {}; read are PNG, JPEG, TIFF and OpenEXR", start.join(" "))))
+        _ => match known_by_name(bytes) {
+            Some(kind) => Err(unsupported(path, kind)),
+            None => {
+                let start: Vec<String> = bytes.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+                Err(unsupported(path, format!("starts with {}; read are PNG, JPEG, TIFF and OpenEXR", start.join(" "))))
+            }
+        },
+    }
+}
+
+/// What a file is that cameras write and that is not read, and what to do with it. Raw files that are TIFF are told there.
+fn known_by_name(bytes: &[u8]) -> Option<&'static str> {
+    const TELEPHONE: &str = "a HEIF picture (HEIC or AVIF), which telephones write; convert it to a PNG or TIFF of 16 bit, or to a JPEG of high \
+        quality, or set the camera to JPEG";
+    let raw = Some(tiff::CAMERA_RAW);
+    match bytes {
+        [_, _, _, _, b'f', b't', b'y', b'p', b'c', b'r', b'x', b' ', ..] => raw,
+        [_, _, _, _, b'f', b't', b'y', b'p', brand @ ..] => {
+            let brands = [b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif", b"avis"];
+            brands.iter().any(|known| brand.starts_with(*known)).then_some(TELEPHONE)
         }
+        // Fujifilm, Olympus, Panasonic, Canon before 2004, Sigma, Minolta.
+        [b'F', b'U', b'J', b'I', b'F', b'I', b'L', b'M', b'C', b'C', b'D', b'-', b'R', b'A', b'W', ..] => raw,
+        [b'I', b'I', b'R', b'O' | b'S', ..] | [b'M', b'M', b'O', b'R', ..] | [b'I', b'I', b'U', 0, ..] => raw,
+        [b'I', b'I', _, _, _, _, b'H', b'E', b'A', b'P', b'C', b'C', b'D', b'R', ..] => raw,
+        [b'F', b'O', b'V', b'b', ..] | [0, b'M', b'R', b'M', ..] => raw,
+        _ => None,
     }
 }
 
@@ -300,7 +320,7 @@ pub(super) fn check_size(path: &Path, width: u64, height: u64, bytes_per_pixel: 
 }
 
 /// More bytes than a file of this size can decode to.
-fn plausible_bytes(file_bytes: usize) -> u64 {
+pub(super) fn plausible_bytes(file_bytes: usize) -> u64 {
     (file_bytes as u64).saturating_mul(MAX_COMPRESSION).saturating_add(SMALL_FILE)
 }
 
@@ -310,37 +330,20 @@ fn decode_png(path: &Path, bytes: &[u8]) -> Result<Stored> {
     decode_with(path, bytes, PngDecoder::with_limits(Cursor::new(bytes), limits).map_err(|e| image_error(path, e))?)
 }
 
-fn decode_jpeg(path: &Path, bytes: &[u8]) -> Result<Stored> {
-    if !jpeg_is_complete(bytes) {
-        return Err(broken(path, "JPEG without its end marker: truncated"));
-    }
-    decode_with(path, bytes, JpegDecoder::new(Cursor::new(bytes)).map_err(|e| image_error(path, e))?)
-}
-
-/// Whether the markers of a JPEG file lead to its end marker. The decoder fills up truncated files with grey.
-fn jpeg_is_complete(bytes: &[u8]) -> bool {
-    let mut at = 2;
-    loop {
-        // Entropy-coded data (after a scan header) and fill bytes lie before the next marker.
-        while let (Some(&byte), Some(&next)) = (bytes.get(at), bytes.get(at + 1)) {
-            if byte == 0xff && !matches!(next, 0x00 | 0xff | 0xd0..=0xd7) {
-                break;
-            }
-            at += 1;
-        }
-        match (bytes.get(at + 1), bytes.get(at + 2..at + 4)) {
-            (Some(0xd9), _) => return true,
-            (Some(_), Some(&[high, low])) => at += 2 + usize::from(u16::from_be_bytes([high, low])).max(2),
-            _ => return false,
-        }
-    }
+pub(super) fn decode_jpeg(path: &Path, bytes: &[u8]) -> Result<Stored> {
+    let note = jpeg::check(path, bytes)?;
+    let decoder = JpegDecoder::new(Cursor::new(bytes)).map_err(|e| image_error(path, e))?;
+    let mut stored = decode_with(path, bytes, decoder)?;
+    stored.notes.extend(note);
+    Ok(stored)
 }
 
 fn decode_with(path: &Path, bytes: &[u8], mut decoder: impl ImageDecoder) -> Result<Stored> {
     let (width, height) = decoder.dimensions();
     let bytes_per_pixel = u64::from(decoder.color_type().bytes_per_pixel());
     check_size(path, width.into(), height.into(), bytes_per_pixel, bytes.len())?;
-    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    let exif = decoder.exif_metadata().ok().flatten();
+    let orientation = exif.and_then(|exif| tiff::exif_orientation(&exif)).unwrap_or(Orientation::NoTransforms);
     let (channels, samples) = match DynamicImage::from_decoder(decoder).map_err(|e| image_error(path, e))? {
         DynamicImage::ImageLuma8(image) => (1, OwnedSamples::U8(image.into_raw())),
         DynamicImage::ImageLumaA8(image) => (2, OwnedSamples::U8(image.into_raw())),
@@ -364,71 +367,13 @@ fn image_error(path: &Path, error: ImageError) -> Error {
     }
 }
 
-pub(super) fn tiff_error(path: &Path, error: TiffError) -> Error {
-    match error {
-        TiffError::UnsupportedError(error) => unsupported(path, error.to_string()),
-        TiffError::IoError(error) => Error::io(path, error),
-        error => broken(path, error),
-    }
-}
-
-fn decode_tiff(path: &Path, bytes: &[u8]) -> Result<Stored> {
-    let error = |e| tiff_error(path, e);
-    let plausible = plausible_bytes(bytes.len()).min(MAX_DECODED_BYTES);
-    let mut limits = tiff::decoder::Limits::default();
-    limits.decoding_buffer_size = MAX_DECODED_BYTES as usize;
-    limits.intermediate_buffer_size = plausible as usize;
-    let mut decoder = TiffDecoder::new(Cursor::new(bytes)).map_err(error)?.with_limits(limits.clone());
-    let (width, height) = decoder.dimensions().map_err(error)?;
-    let color = decoder.colortype().map_err(error)?;
-    let channels = match color {
-        ColorType::Gray(_) => 1,
-        ColorType::GrayA(_) | ColorType::Multiband { num_samples: 2, .. } => 2,
-        ColorType::RGB(_) => 3,
-        ColorType::RGBA(_) => 4,
-        other => return Err(unsupported(path, format!("{other:?} pixels"))),
-    };
-    let bits = color.bit_depth();
-    if !matches!(bits, 8 | 16 | 32 | 64) {
-        return Err(unsupported(path, format!("{bits} bits per channel; read are 8, 16 and floats of 16, 32 and 64")));
-    }
-    check_size(path, width.into(), height.into(), channels as u64 * u64::from(bits / 8), bytes.len())?;
-    let orientation = decoder.find_tag_unsigned::<u8>(Tag::Orientation).ok().flatten().and_then(Orientation::from_exif);
-
-    let mut decoded = DecodingResult::U8(Vec::new());
-    let layout = match lzw::unpacked(path, bytes, &mut decoder, usize::from(bits / 8), channels, plausible)? {
-        Some(file) => TiffDecoder::new(Cursor::new(file))
-            .and_then(|decoder| decoder.with_limits(limits).read_image_to_buffer(&mut decoded)),
-        None => decoder.read_image_to_buffer(&mut decoded),
-    };
-    let layout = layout.map_err(error)?;
-    let planes = layout.planes;
-    let samples = match decoded {
-        DecodingResult::U8(values) => OwnedSamples::U8(interleaved(values, planes)),
-        DecodingResult::U16(values) => OwnedSamples::U16(interleaved(values, planes)),
-        DecodingResult::F16(values) => {
-            OwnedSamples::F32(interleaved(values.into_iter().map(half::f16::to_f32).collect(), planes))
-        }
-        DecodingResult::F32(values) => OwnedSamples::F32(interleaved(values, planes)),
-        DecodingResult::F64(values) => {
-            OwnedSamples::F32(interleaved(values.into_iter().map(|value| value as f32).collect(), planes))
-        }
-        _ => return Err(unsupported(path, format!("signed integers or {bits}-bit integers"))),
-    };
-    let stored = Stored { width: width as usize, height: height as usize, channels, samples, notes: Vec::new() };
-    if stored.pixels().samples.len() != stored.width * stored.height * channels {
-        return Err(unsupported(path, format!("{planes} separate planes for {channels} channels")));
-    }
-    Ok(stored.orient(orientation.unwrap_or(Orientation::NoTransforms)))
-}
-
-/// Interleaves the values of `planes` equally long planes.
-fn interleaved<T: Copy>(values: Vec<T>, planes: usize) -> Vec<T> {
-    if planes <= 1 {
-        return values;
-    }
-    let pixels = values.len() / planes;
-    (0..pixels).flat_map(|pixel| (0..planes).map(move |plane| plane * pixels + pixel)).map(|at| values[at]).collect()
+/// `len` values, none of which is there before memory for all of them is.
+pub(super) fn zeroed<T: Copy + Default>(len: usize) -> Result<Vec<T>> {
+    let mut values = Vec::new();
+    let bytes = (len as u64).saturating_mul(size_of::<T>() as u64);
+    values.try_reserve_exact(len).map_err(|_| Error::OutOfMemory { needed: bytes, allowed: 0 })?;
+    values.resize(len, T::default());
+    Ok(values)
 }
 
 #[cfg(test)]
@@ -454,11 +399,6 @@ mod tests {
             let orientation = Orientation::from_exif(exif).unwrap();
             assert_eq!(oriented(&values, width, 6 / width, 1, orientation), upright, "orientation {exif}");
         }
-    }
-
-    #[test]
-    fn planes_are_interleaved() {
-        assert_eq!(interleaved(vec![1, 2, 11, 12, 21, 22], 3), [1, 11, 21, 2, 12, 22]);
     }
 
     #[test]

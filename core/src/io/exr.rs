@@ -53,15 +53,21 @@ fn decode_unguarded(path: &Path, bytes: &[u8]) -> Result<Stored> {
     let layer = image.layer_data;
     let names: Vec<String> = layer.channel_data.list.iter().map(|channel| channel.name.to_string()).collect();
     let find = |name: &str| names.iter().position(|other| other == name);
-    let picked = match (find("R"), find("G"), find("B"), find("Y")) {
-        (Some(r), Some(g), b, _) => vec![Some(r), Some(g), b],
-        (_, _, _, Some(y)) if find("RY").is_none() && find("BY").is_none() => vec![Some(y)],
-        _ => {
-            return Err(unsupported(path, format!("channels {}; read are R, G, B and Y", names.join(", "))));
-        }
-    };
+    let rgb = ["R", "G", "B"].map(|name| (name, find(name)));
+    let missing: Vec<&str> = rgb.iter().filter(|(_, place)| place.is_none()).map(|&(name, _)| name).collect();
+    let is_grey = missing.len() == 3 && find("Y").is_some();
+    // Luminance with chroma, and CIE XYZ.
+    let is_other = ["RY", "BY", "X", "Z"].iter().filter(|name| find(name).is_some()).count() == 2;
+    if !(missing.len() <= 1 || is_grey && !is_other) {
+        let read = "read are R, G and B, or Y alone: convert other colours to them";
+        return Err(unsupported(path, format!("channels {}; {read}", names.join(", "))));
+    }
+    let picked = if is_grey { vec![find("Y")] } else { rgb.map(|(_, place)| place).to_vec() };
 
     let mut notes = Vec::new();
+    if let (&[name], false) = (missing.as_slice(), is_grey) {
+        notes.push(format!("no channel {name}, only {}: read as 0", names.join(", ")));
+    }
     if find("A").is_some() {
         notes.push("alpha ignored".to_owned());
     }

@@ -9,11 +9,12 @@ mod decode;
 mod encode;
 mod exr;
 mod font;
-mod lzw;
+mod jpeg;
 pub mod material;
 pub mod preview;
 pub(crate) mod resize;
 pub(crate) mod save;
+mod tiff;
 
 use std::path::Path;
 

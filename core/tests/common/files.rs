@@ -95,122 +95,255 @@ pub fn tiff(width: u32, height: u32, channels: u16, bits: u16, format: u16, orie
     file
 }
 
-/// How [`tiff_lzw`] lays a file out.
+/// The bits of the sample at x, y, channel.
+pub type Sample = fn(usize, usize, usize) -> u64;
+
+/// A page of a TIFF, laid out as its fields say.
 #[derive(Clone, Copy, Debug)]
-pub struct LzwLayout {
+pub struct Tiff {
+    pub width: usize,
+    pub height: usize,
+    /// 1 or 3.
+    pub colors: usize,
+    /// Samples beyond colour.
+    pub extra: usize,
+    /// What the first of them is: 0 nothing known, 1 and 2 alpha.
+    pub extra_kind: u64,
+    /// 8, 16, 32 or 64.
+    pub bits: usize,
+    pub float: bool,
+    /// 1 none, 5 LZW, 8 deflate, 32773 PackBits.
+    pub compression: u64,
+    /// 1 none, 2 differences, 3 that of floats; for LZW and deflate.
+    pub predictor: u64,
+    pub planar: bool,
+    /// The side of tiles; 0 for strips.
+    pub tile: usize,
+    /// Rows of a strip.
+    pub rows: usize,
     /// Bytes of a number from the highest to the lowest.
     pub big_endian: bool,
     /// The form for files above 4 GiB.
     pub big_tiff: bool,
-    /// Tiles of 16 x 16 instead of one strip.
-    pub tiles: bool,
-    /// The closing code of every stream.
+    /// LZW: the closing code of every stream.
     pub closed: bool,
+    pub photometric: u64,
+    /// NewSubfileType: 1 for a reduced page.
+    pub subfile: u64,
+    /// Rows that the data of a single strip hold, if not those of the page.
+    pub stored_rows: Option<usize>,
+    pub sample: Sample,
 }
 
-pub const LZW_LAYOUTS: [LzwLayout; 5] = {
-    let plain = LzwLayout { big_endian: false, big_tiff: false, tiles: false, closed: true };
-    [
-        plain,
-        LzwLayout { tiles: true, ..plain },
-        LzwLayout { tiles: true, closed: false, ..plain },
-        LzwLayout { tiles: true, big_endian: true, ..plain },
-        LzwLayout { big_endian: true, big_tiff: true, ..plain },
-    ]
-};
-
-/// An LZW-compressed TIFF of 16-bit RGB codes. Of a strip more or fewer `values` than pixels may be given.
-pub fn tiff_lzw(width: usize, height: usize, values: &[u16], layout: LzwLayout) -> Vec<u8> {
-    let LzwLayout { big_endian, big_tiff, tiles, closed } = layout;
-    let bytes = |value: u64, count: usize| {
-        if big_endian { value.to_be_bytes()[8 - count..].to_vec() } else { value.to_le_bytes()[..count].to_vec() }
+impl Tiff {
+    /// RGB of 16 bits in one strip.
+    pub const RGB16: Self = Self {
+        width: 37,
+        height: 21,
+        colors: 3,
+        extra: 0,
+        extra_kind: 0,
+        bits: 16,
+        float: false,
+        compression: 1,
+        predictor: 1,
+        planar: false,
+        tile: 0,
+        rows: usize::MAX,
+        big_endian: false,
+        big_tiff: false,
+        closed: true,
+        photometric: 2,
+        subfile: 0,
+        stored_rows: None,
+        sample: |x, y, c| (x * 1543 + y * 377 + c * 20011) as u64 % 65536,
     };
-    let packed = |values: &[u16]| {
-        let data: Vec<u8> = values.iter().flat_map(|&value| bytes(value.into(), 2)).collect();
-        let mut encoder = weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8);
-        if closed {
-            return encoder.encode(&data).unwrap();
+
+    pub fn file(&self) -> Vec<u8> {
+        tiff_pages(&[*self], &[])
+    }
+
+    fn bytes(&self, value: u64, count: usize) -> Vec<u8> {
+        if self.big_endian { value.to_be_bytes()[8 - count..].to_vec() } else { value.to_le_bytes()[..count].to_vec() }
+    }
+
+    /// The chunks as the file has them, plane after plane.
+    fn chunks(&self) -> Vec<Vec<u8>> {
+        let height = self.stored_rows.unwrap_or(self.height);
+        let (chunk_width, chunk_height) =
+            if self.tile > 0 { (self.tile, self.tile) } else { (self.width, self.rows.min(height)) };
+        let samples = self.colors + self.extra;
+        let planes: Vec<Vec<usize>> =
+            if self.planar { (0..samples).map(|c| vec![c]).collect() } else { vec![(0..samples).collect()] };
+        let mut chunks = Vec::new();
+        for plane in &planes {
+            for top in (0..height).step_by(chunk_height) {
+                for left in (0..self.width).step_by(chunk_width) {
+                    let rows = if self.tile > 0 { chunk_height } else { chunk_height.min(height - top) };
+                    let mut data = Vec::new();
+                    for y in top..top + rows {
+                        let mut row: Vec<u64> = Vec::new();
+                        for x in left..left + chunk_width {
+                            let inside = x < self.width && y < height;
+                            row.extend(plane.iter().map(|&c| if inside { (self.sample)(x, y, c) } else { 0 }));
+                        }
+                        data.extend(self.row(&row, plane.len()));
+                    }
+                    chunks.push(self.packed(&data));
+                }
+            }
         }
-        let mut out = vec![0; 2 * data.len() + 64];
-        let written = encoder.encode_bytes(&data, &mut out).consumed_out;
-        // What is left in the encoder are a code or two: they are written with the closing code, which is cut off.
-        encoder.finish();
-        let rest = encoder.encode_bytes(&[], &mut out[written..]).consumed_out;
-        out.truncate(written + rest - 1);
-        out
-    };
-    let chunks: Vec<Vec<u8>> = if tiles {
-        let value =
-            |x: usize, y: usize, c: usize| if x < width && y < height { values[(y * width + x) * 3 + c] } else { 0 };
-        let tile = |left: usize, top: usize| {
-            let pixels = (0..16).flat_map(|y| (0..16).map(move |x| (left + x, top + y)));
-            let tile: Vec<u16> = pixels.flat_map(|(x, y)| (0..3).map(move |c| value(x, y, c))).collect();
-            packed(&tile)
-        };
-        (0..height.div_ceil(16))
-            .flat_map(|y| (0..width.div_ceil(16)).map(move |x| (16 * x, 16 * y)))
-            .map(|(x, y)| tile(x, y))
-            .collect()
-    } else {
-        vec![packed(values)]
-    };
+        chunks
+    }
 
-    let word = if big_tiff { 8 } else { 4 };
-    let mut file = if big_endian { b"MM".to_vec() } else { b"II".to_vec() };
-    file.extend(bytes(if big_tiff { 43 } else { 42 }, 2));
-    if big_tiff {
+    /// The bytes of a row after the predictor.
+    fn row(&self, samples: &[u64], stride: usize) -> Vec<u8> {
+        let size = self.bits / 8;
+        match self.predictor {
+            2 => (0..samples.len())
+                .map(|i| if i < stride { samples[i] } else { samples[i].wrapping_sub(samples[i - stride]) })
+                .flat_map(|sample| self.bytes(sample, size))
+                .collect(),
+            3 => {
+                let planes: Vec<u8> = (0..size)
+                    .flat_map(|byte| samples.iter().map(move |sample| sample.to_be_bytes()[8 - size + byte]))
+                    .collect();
+                (0..planes.len())
+                    .map(|i| if i < stride { planes[i] } else { planes[i].wrapping_sub(planes[i - stride]) })
+                    .collect()
+            }
+            _ => samples.iter().flat_map(|&sample| self.bytes(sample, size)).collect(),
+        }
+    }
+
+    fn packed(&self, data: &[u8]) -> Vec<u8> {
+        match self.compression {
+            1 => data.to_vec(),
+            5 => packed_lzw(data, self.closed),
+            8 => {
+                let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+                std::io::Write::write_all(&mut encoder, data).unwrap();
+                encoder.finish().unwrap()
+            }
+            32773 => packed_bits(data),
+            other => panic!("no encoder for compression {other}"),
+        }
+    }
+}
+
+fn packed_lzw(data: &[u8], closed: bool) -> Vec<u8> {
+    let mut encoder = weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8);
+    if closed {
+        return encoder.encode(data).unwrap();
+    }
+    let mut out = vec![0; 2 * data.len() + 64];
+    let written = encoder.encode_bytes(data, &mut out).consumed_out;
+    // What is left in the encoder are a code or two: they are written with the closing code, which is cut off.
+    encoder.finish();
+    let rest = encoder.encode_bytes(&[], &mut out[written..]).consumed_out;
+    out.truncate(written + rest - 1);
+    out
+}
+
+/// Runs of at least three equal bytes, and literals between them.
+fn packed_bits(data: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut literal: Vec<u8> = Vec::new();
+    let mut at = 0;
+    while at < data.len() {
+        let run = data[at..].iter().take(128).take_while(|&&byte| byte == data[at]).count();
+        if run < 3 && literal.len() < 128 {
+            literal.push(data[at]);
+            at += 1;
+            continue;
+        }
+        if !literal.is_empty() {
+            out.push(literal.len() as u8 - 1);
+            out.append(&mut literal);
+        }
+        if run >= 3 {
+            out.extend([(1 - run as i32) as u8, data[at]]);
+            at += run;
+        }
+    }
+    if !literal.is_empty() {
+        out.push(literal.len() as u8 - 1);
+        out.append(&mut literal);
+    }
+    out
+}
+
+/// A TIFF of the pages `chain`, with those in `below` under the first one. All have the byte order and form of the first.
+pub fn tiff_pages(chain: &[Tiff], below: &[Tiff]) -> Vec<u8> {
+    let head = chain[0];
+    let bytes = |value: u64, count: usize| head.bytes(value, count);
+    let word = if head.big_tiff { 8 } else { 4 };
+    let mut file = if head.big_endian { b"MM".to_vec() } else { b"II".to_vec() };
+    file.extend(bytes(if head.big_tiff { 43 } else { 42 }, 2));
+    if head.big_tiff {
         file.extend([bytes(8, 2), bytes(0, 2)].concat());
     }
-    // Streams and lists come first, then the directory.
-    let mut body: Vec<u8> = Vec::new();
-    let start = file.len() + word;
-    let mut place = |data: &[u8]| {
-        body.extend(data);
-        (start + body.len() - data.len()) as u64
-    };
-    let offsets: Vec<u64> = chunks.iter().map(|chunk| place(chunk)).collect();
-    let mut list = |values: &[u64], size: usize| {
-        let data: Vec<u8> = values.iter().flat_map(|&value| bytes(value, size)).collect();
-        let inline = data.len() <= word;
-        let mut field = if inline { data } else { bytes(place(&data), word) };
-        field.resize(word, 0);
-        field
-    };
-    let lengths: Vec<u64> = chunks.iter().map(|chunk| chunk.len() as u64).collect();
-    let (offsets, lengths) = (list(&offsets, 4), list(&lengths, 4));
-    let bits = list(&[16, 16, 16], 2);
-    let one = |value: usize, size: usize| {
-        let mut field = bytes(value as u64, size);
-        field.resize(word, 0);
-        field
-    };
-    let mut entries = vec![
-        (256u64, 4u64, 1, one(width, 4)),
-        (257, 4, 1, one(height, 4)),
-        (258, 3, 3, bits),
-        (259, 3, 1, one(5, 2)),
-        (262, 3, 1, one(2, 2)),
-        (277, 3, 1, one(3, 2)),
-    ];
-    let count = chunks.len() as u64;
-    if tiles {
-        entries.extend([
-            (322, 3, 1, one(16, 2)),
-            (323, 3, 1, one(16, 2)),
-            (324, 4, count, offsets),
-            (325, 4, count, lengths),
-        ]);
-    } else {
-        entries.extend([(273, 4, 1, offsets), (278, 4, 1, one(height, 4)), (279, 4, 1, lengths)]);
-        entries.sort_by_key(|entry| entry.0);
-    }
-    file.extend(bytes((start + body.len()) as u64, word));
-    file.extend(body);
-    file.extend(bytes(entries.len() as u64, if big_tiff { 8 } else { 2 }));
-    for (tag, kind, count, value) in entries {
-        file.extend([bytes(tag, 2), bytes(kind, 2), bytes(count, word), value].concat());
-    }
+    let first = file.len();
     file.extend(bytes(0, word));
+    // Data and lists of a page come first, then its directory; the pages below come before those that name them.
+    let write = |file: &mut Vec<u8>, page: &Tiff, below: &[u64]| {
+        let chunks = page.chunks();
+        let place = |file: &mut Vec<u8>, data: &[u8]| {
+            file.extend(data);
+            (file.len() - data.len()) as u64
+        };
+        let offsets: Vec<u64> = chunks.iter().map(|chunk| place(file, chunk)).collect();
+        let lengths: Vec<u64> = chunks.iter().map(|chunk| chunk.len() as u64).collect();
+        let samples = page.colors + page.extra;
+        let (offsets_tag, lengths_tag) = if page.tile > 0 { (324, 325) } else { (273, 279) };
+        let mut entries: Vec<(u64, u64, Vec<u64>)> = vec![
+            (254, 4, vec![page.subfile]),
+            (256, 4, vec![page.width as u64]),
+            (257, 4, vec![page.height as u64]),
+            (258, 3, vec![page.bits as u64; samples]),
+            (259, 3, vec![page.compression]),
+            (262, 3, vec![page.photometric]),
+            (277, 3, vec![samples as u64]),
+            (284, 3, vec![if page.planar { 2 } else { 1 }]),
+            (317, 3, vec![page.predictor]),
+            (339, 3, vec![if page.float { 3 } else { 1 }; samples]),
+            (offsets_tag, 4, offsets),
+            (lengths_tag, 4, lengths),
+        ];
+        if page.tile > 0 {
+            entries.extend([(322, 3, vec![page.tile as u64]), (323, 3, vec![page.tile as u64])]);
+        } else {
+            entries.push((278, 4, vec![page.rows.min(page.height) as u64]));
+        }
+        if page.extra > 0 {
+            let mut kinds = vec![0; page.extra];
+            kinds[0] = page.extra_kind;
+            entries.push((338, 3, kinds));
+        }
+        if !below.is_empty() {
+            entries.push((330, 13, below.to_vec()));
+        }
+        entries.sort_by_key(|entry| entry.0);
+        let mut directory = bytes(entries.len() as u64, if head.big_tiff { 8 } else { 2 });
+        for (tag, kind, values) in entries {
+            let size = if kind == 3 { 2 } else { 4 };
+            let data: Vec<u8> = values.iter().flat_map(|&value| bytes(value, size)).collect();
+            let mut field = if data.len() <= word { data } else { bytes(place(file, &data), word) };
+            field.resize(word, 0);
+            directory.extend([bytes(tag, 2), bytes(kind, 2), bytes(values.len() as u64, word), field].concat());
+        }
+        let start = place(file, &directory);
+        let next = file.len();
+        file.extend(bytes(0, word));
+        (start, next)
+    };
+    let below: Vec<u64> = below.iter().map(|page| write(&mut file, page, &[]).0).collect();
+    let mut link = first;
+    for (i, page) in chain.iter().enumerate() {
+        let (start, next) = write(&mut file, page, if i == 0 { &below } else { &[] });
+        file[link..link + word].copy_from_slice(&bytes(start, word));
+        link = next;
+    }
     file
 }
 
