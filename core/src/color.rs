@@ -100,18 +100,118 @@ impl ColorSpace {
 
     /// Linear RGB of this space as linear RGB of `target`; not limited to any range.
     pub fn convert(self, target: Self, rgb: [f64; 3]) -> [f64; 3] {
-        self.matrix_to(target).map(|row| row[0] * rgb[0] + row[1] * rgb[1] + row[2] * rgb[2])
+        transformed(&self.matrix_to(target), rgb)
     }
 
     /// [`ColorSpace::convert`] for every pixel of an RGB image; other images are left as they are.
     pub fn convert_image(self, target: Self, image: &mut Image) {
-        if self == target || image.channels() != 3 {
-            return;
-        }
-        for pixel in image.data_mut().as_chunks_mut().0 {
-            *pixel = self.convert(target, pixel.map(f64::from)).map(|value| value as f32);
+        if self != target {
+            apply_to_image(&self.matrix_to(target), image);
         }
     }
+
+    /// Its primaries and white.
+    pub(crate) fn chromaticities(self) -> Chromaticities {
+        match self {
+            Self::Rec709 => Chromaticities::REC709,
+            Self::AcesCg => Chromaticities::AP1,
+        }
+    }
+}
+
+/// Where the primaries and the white of RGB values lie: CIE 1931 x and y.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Chromaticities {
+    /// Of red, green and blue.
+    pub primaries: [[f64; 2]; 3],
+    pub white: [f64; 2],
+}
+
+impl Chromaticities {
+    /// ITU-R BT.709-6, items 1.3 and 1.4.
+    pub const REC709: Self = Self { primaries: [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]], white: [0.3127, 0.3290] };
+
+    /// SMPTE ST 2065-1 and S-2014-004.
+    pub const AP1: Self =
+        Self { primaries: [[0.713, 0.293], [0.165, 0.830], [0.128, 0.044]], white: [0.32168, 0.33767] };
+
+    /// Adobe RGB (1998) Color Image Encoding, 4.3.1.
+    pub const ADOBE_RGB: Self = Self { primaries: [[0.64, 0.33], [0.21, 0.71], [0.15, 0.06]], white: [0.3127, 0.3290] };
+
+    /// The matrix that takes linear RGB column vectors to Rec. 709, white to white by the Bradford adaptation; none where the numbers
+    /// make no colours.
+    pub fn to_rec709(self) -> Option<Matrix> {
+        let whites = adaptation(xyz(self.white), xyz(Self::REC709.white));
+        let matrix = product(&inverse(&Self::REC709.to_xyz()), &product(&whites, &self.to_xyz()));
+        is_usable(&matrix).then_some(matrix)
+    }
+
+    /// RGB to XYZ: columns are the primaries, scaled so that RGB (1, 1, 1) is the white.
+    fn to_xyz(self) -> Matrix {
+        let columns = self.primaries.map(xyz);
+        let unscaled = std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i]));
+        let scale = transformed(&inverse(&unscaled), xyz(self.white));
+        std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i] * scale[j]))
+    }
+}
+
+/// The matrix from XYZ relative to the white D50 of ICC profiles to linear Rec. 709.
+pub(crate) fn d50_to_rec709() -> Matrix {
+    // ICC.1:2022, 7.2.16.
+    let d50 = [0.9642, 1.0, 0.8249];
+    product(&inverse(&Chromaticities::REC709.to_xyz()), &adaptation(d50, xyz(Chromaticities::REC709.white)))
+}
+
+/// Linear and complete Bradford adaptation between two whites, both XYZ.
+fn adaptation(from: [f64; 3], to: [f64; 3]) -> Matrix {
+    const BRADFORD: Matrix = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
+    let (from, to) = (transformed(&BRADFORD, from), transformed(&BRADFORD, to));
+    let gains = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { to[i] / from[i] } else { 0.0 }));
+    product(&inverse(&BRADFORD), &product(&gains, &BRADFORD))
+}
+
+pub(crate) type Matrix = [[f64; 3]; 3];
+
+pub(crate) fn product(a: &Matrix, b: &Matrix) -> Matrix {
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
+}
+
+/// Whether no entry differs by more than `tolerance`.
+pub(crate) fn is_close(a: &Matrix, b: &Matrix, tolerance: f64) -> bool {
+    a.iter().flatten().zip(b.iter().flatten()).all(|(a, b)| (a - b).abs() <= tolerance)
+}
+
+/// Whether a matrix between colour spaces is one of numbers that colours can have; those of primaries on a line are huge or not finite.
+pub(crate) fn is_usable(matrix: &Matrix) -> bool {
+    matrix.iter().flatten().all(|entry| entry.abs() < 1e4)
+}
+
+/// Takes every pixel of an RGB image through `matrix`; other images are left as they are.
+pub(crate) fn apply_to_image(matrix: &Matrix, image: &mut Image) {
+    if image.channels() == 3 {
+        for pixel in image.data_mut().as_chunks_mut().0 {
+            *pixel = transformed(matrix, pixel.map(f64::from)).map(|value| value as f32);
+        }
+    }
+}
+
+fn transformed(matrix: &Matrix, v: [f64; 3]) -> [f64; 3] {
+    matrix.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+}
+
+fn xyz([x, y]: [f64; 2]) -> [f64; 3] {
+    [x / y, 1.0, (1.0 - x - y) / y]
+}
+
+fn minor(m: &Matrix, i: usize, j: usize) -> f64 {
+    let (a, b, c, d) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
+    m[a][c] * m[b][d] - m[a][d] * m[b][c]
+}
+
+/// By cofactors; not finite where there is none.
+fn inverse(m: &Matrix) -> Matrix {
+    let determinant: f64 = (0..3).map(|j| m[0][j] * minor(m, 0, j)).sum();
+    std::array::from_fn(|i| std::array::from_fn(|j| minor(m, j, i) / determinant))
 }
 
 const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -130,7 +230,7 @@ const REC709_TO_ACESCG: [[f64; 3]; 3] = [
 
 #[cfg(test)]
 mod tests {
-    use super::{ColorSpace, IDENTITY, Transfer};
+    use super::*;
 
     #[test]
     fn known_values() {
@@ -151,56 +251,31 @@ mod tests {
         }
     }
 
-    type Matrix = [[f64; 3]; 3];
-
-    fn product(a: &Matrix, b: &Matrix) -> Matrix {
-        std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
-    }
-
-    fn apply(a: &Matrix, v: [f64; 3]) -> [f64; 3] {
-        a.map(|row| row.iter().zip(v).map(|(a, v)| a * v).sum())
-    }
-
-    /// By cofactors.
-    fn inverse(m: &Matrix) -> Matrix {
-        let minor = |i: usize, j: usize| {
-            let (a, b, c, d) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
-            m[a][c] * m[b][d] - m[a][d] * m[b][c]
-        };
-        let determinant: f64 = (0..3).map(|j| m[0][j] * minor(0, j)).sum();
-        std::array::from_fn(|i| std::array::from_fn(|j| minor(j, i) / determinant))
-    }
-
-    fn xyz([x, y]: [f64; 2]) -> [f64; 3] {
-        [x / y, 1.0, (1.0 - x - y) / y]
-    }
-
-    /// RGB to XYZ: columns are the primaries, scaled so that RGB (1, 1, 1) is the white.
-    fn to_xyz(primaries: [[f64; 2]; 3], white: [f64; 2]) -> Matrix {
-        let columns = primaries.map(xyz);
-        let unscaled = std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i]));
-        let scale = apply(&inverse(&unscaled), xyz(white));
-        std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i] * scale[j]))
+    #[test]
+    fn matrices_follow_from_primaries_and_whites() {
+        let to_rec709 = Chromaticities::AP1.to_rec709().unwrap();
+        assert!(is_close(&ColorSpace::AcesCg.matrix_to(ColorSpace::Rec709), &to_rec709, 1e-14));
+        assert!(is_close(&ColorSpace::Rec709.matrix_to(ColorSpace::AcesCg), &inverse(&to_rec709), 1e-14));
+        assert_eq!(ColorSpace::AcesCg.matrix_to(ColorSpace::AcesCg), IDENTITY);
+        assert!(is_close(&Chromaticities::REC709.to_rec709().unwrap(), &IDENTITY, 1e-14));
+        // The luminance of the primaries of BT.709 is in the standard to four digits.
+        for (got, expected) in Chromaticities::REC709.to_xyz()[1].iter().zip([0.2126, 0.7152, 0.0722]) {
+            assert!((got - expected).abs() < 5e-5);
+        }
+        // The colorants of the profile that IEC 61966-2-1 publishes for sRGB, relative to D50, to its four digits.
+        let colorants = [[0.4361, 0.3851, 0.1431], [0.2225, 0.7169, 0.0606], [0.0139, 0.0971, 0.7141]];
+        assert!(is_close(&product(&d50_to_rec709(), &colorants), &IDENTITY, 5e-4));
     }
 
     #[test]
-    fn matrices_follow_from_primaries_and_whites() {
-        let (d65, d60) = ([0.3127, 0.3290], [0.32168, 0.33767]);
-        let rec709 = to_xyz([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]], d65);
-        let ap1 = to_xyz([[0.713, 0.293], [0.165, 0.830], [0.128, 0.044]], d60);
-        let bradford = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
-        let (from, to) = (apply(&bradford, xyz(d60)), apply(&bradford, xyz(d65)));
-        let gains = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { to[i] / from[i] } else { 0.0 }));
-        let adaptation = product(&inverse(&bradford), &product(&gains, &bradford));
-        let expected = product(&inverse(&rec709), &product(&adaptation, &ap1));
-        let close =
-            |a: &Matrix, b: &Matrix| a.iter().flatten().zip(b.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-14);
-        assert!(close(&ColorSpace::AcesCg.matrix_to(ColorSpace::Rec709), &expected));
-        assert!(close(&ColorSpace::Rec709.matrix_to(ColorSpace::AcesCg), &inverse(&expected)));
-        assert_eq!(ColorSpace::AcesCg.matrix_to(ColorSpace::AcesCg), IDENTITY);
-        // The luminance of the primaries of BT.709 is in the standard to four digits.
-        for (got, expected) in rec709[1].iter().zip([0.2126, 0.7152, 0.0722]) {
-            assert!((got - expected).abs() < 5e-5);
+    fn numbers_that_make_no_colors() {
+        let line = Chromaticities { primaries: [[0.2, 0.2], [0.3, 0.3], [0.4, 0.4]], white: [0.3127, 0.3290] };
+        assert_eq!(line.to_rec709(), None);
+        for broken in [0.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(Chromaticities { white: [0.3, broken], ..Chromaticities::REC709 }.to_rec709(), None);
+            let mut primaries = Chromaticities::REC709.primaries;
+            primaries[1][1] = broken;
+            assert_eq!(Chromaticities { primaries, ..Chromaticities::REC709 }.to_rec709(), None);
         }
     }
 

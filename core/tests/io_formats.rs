@@ -3,6 +3,7 @@
 
 #[allow(dead_code, reason = "shared by several tests")]
 mod common;
+#[allow(dead_code, reason = "shared by several tests")]
 #[path = "common/files.rs"]
 mod files;
 

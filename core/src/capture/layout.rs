@@ -21,7 +21,10 @@ pub(super) struct Layout {
     pub entries: Vec<Entry>,
     pub patch_size: f64,
     pub transfer: Transfer,
-    pub color_space: ColorSpace,
+    /// The transfer function is what photos of the layout usually have; nobody states it.
+    pub implied: bool,
+    /// None where nothing states it.
+    pub color_space: Option<ColorSpace>,
     pub unit: Option<String>,
     pub white_level: Option<f32>,
 }
@@ -85,10 +88,10 @@ impl Layout {
         }
     }
 
-    /// A capture of the literature: gamma 2.2, Rec. 709.
+    /// A capture of the literature: gamma 2.2, where the files are of integers.
     fn gamma22(entries: Vec<Entry>, patch_size: f64) -> Self {
-        let (transfer, color_space) = (Transfer::Gamma22, ColorSpace::Rec709);
-        Self { entries, patch_size, transfer, color_space, unit: None, white_level: None }
+        let (transfer, implied, color_space) = (Transfer::Gamma22, true, None);
+        Self { entries, patch_size, transfer, implied, color_space, unit: None, white_level: None }
     }
 
     /// The folder of MaterialGAN and the paper: numbered photos and four text files.
@@ -150,8 +153,7 @@ struct CaptureFile {
     _version: u64,
     patch_size: f64,
     transfer: Transfer,
-    #[serde(default)]
-    color_space: ColorSpace,
+    color_space: Option<ColorSpace>,
     light_intensity: Option<[f64; 3]>,
     unit: Option<String>,
     white_level: Option<f32>,
@@ -191,6 +193,7 @@ impl CaptureFile {
             entries,
             patch_size: self.patch_size,
             transfer: self.transfer,
+            implied: false,
             color_space: self.color_space,
             unit: self.unit,
             white_level: self.white_level,

@@ -10,9 +10,10 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::color::{ColorSpace, Transfer};
+use crate::color::{ColorSpace, Transfer, apply_to_image};
 use crate::error::{Error, Result};
 use crate::image::Image;
+use crate::io::profile::{Decoding, FileColors, Stated};
 use crate::io::resize::{fit_size, shrink};
 use crate::io::{Pixels, RowReader, Samples, read_stored};
 
@@ -98,6 +99,8 @@ pub struct CaptureOptions {
     pub transfer: Option<Transfer>,
     /// The colour space of linear photos; see [`CaptureOptions::color_space`].
     pub color_space: Option<ColorSpace>,
+    /// Whether colour profiles in files count for nothing; see [`CaptureOptions::ignore_profiles`].
+    pub ignore_profiles: bool,
 }
 
 impl CaptureOptions {
@@ -127,8 +130,20 @@ impl CaptureOptions {
     /// Replaces the colour space that the capture states for linear photos and their light intensity; [`ColorSpace::Rec709`] where it states none.
     ///
     /// Both are converted to linear Rec. 709. Photos in another transfer function are Rec. 709 whatever is said here, with a warning.
+    /// A file that says something else of its colours is not believed, with a warning.
     pub fn color_space(mut self, color_space: ColorSpace) -> Self {
         self.color_space = Some(color_space);
+        self
+    }
+
+    /// Reads photos as if their files said nothing of their colours.
+    ///
+    /// Without it, where neither the capture nor [`CaptureOptions::color_space`] states a colour space, photos are converted to linear Rec. 709
+    /// by what their files say (ICC profiles, chunks of PNG, chromaticities of OpenEXR and TIFF, Adobe RGB in EXIF data), with a warning: wholly
+    /// where the transfer function is [`Transfer::Srgb`], by their primaries where it is another that agrees with the file's.
+    /// `light_intensity` stays what it is.
+    pub fn ignore_profiles(mut self, ignore: bool) -> Self {
+        self.ignore_profiles = ignore;
         self
     }
 }
@@ -136,36 +151,45 @@ impl CaptureOptions {
 /// How the stored values of a capture's photos become linear Rec. 709.
 #[derive(Clone, Copy)]
 struct Encoding {
-    transfer: Transfer,
-    color_space: ColorSpace,
+    stated: Stated,
+    /// The transfer function is what photos of the layout usually have; nobody states it.
+    implied: bool,
     white_level: Option<f32>,
 }
 
 impl Encoding {
-    /// What the options ask for, else what the capture states; and a warning where the two parts contradict each other.
+    /// What the options ask for, else what the capture states.
     fn new(
         transfer: Transfer,
-        color_space: ColorSpace,
+        implied: bool,
+        color_space: Option<ColorSpace>,
         white_level: Option<f32>,
         options: &CaptureOptions,
-    ) -> Result<(Self, Option<String>)> {
+    ) -> Result<Self> {
         check_white_level(white_level)?;
-        let transfer = options.transfer.unwrap_or(transfer);
-        let asked = options.color_space.unwrap_or(color_space);
-        if transfer == Transfer::Linear || asked == ColorSpace::Rec709 {
-            return Ok((Self { transfer, color_space: asked, white_level }, None));
-        }
-        let warning = format!("color_space {}: photos in {} are taken as rec709", asked.name(), transfer.name());
-        Ok((Self { transfer, color_space: ColorSpace::Rec709, white_level }, Some(warning)))
+        let stated = Stated {
+            transfer: options.transfer.unwrap_or(transfer),
+            color_space: options.color_space.or(color_space),
+            ignore_profiles: options.ignore_profiles,
+        };
+        Ok(Self { stated, implied: implied && options.transfer.is_none(), white_level })
     }
 
-    /// The shot with its light in Rec. 709, checked.
-    fn shot(self, photo: &str, shot: Shot) -> Result<Shot> {
-        shot.check(photo)?;
-        let light_intensity = self.color_space.convert(ColorSpace::Rec709, shot.light_intensity);
-        let converted = Shot { light_intensity, ..shot };
-        converted.check(photo)?;
-        Ok(converted)
+    /// What holds for a photo of `samples`, and what is to be said of it.
+    fn of_photo(self, samples: Samples<'_>) -> (Stated, Vec<String>) {
+        let (mut stated, mut notes) = (self.stated, Vec::new());
+        let name = stated.transfer.name();
+        if self.implied && matches!(samples, Samples::F32(_)) {
+            stated.transfer = Transfer::Linear;
+            notes.push(format!(
+                "photos of floats are linear: read as linear, not as {name}, which is usual in this layout"
+            ));
+        }
+        if let (Some(ColorSpace::AcesCg), false) = (stated.color_space, stated.transfer == Transfer::Linear) {
+            stated.color_space = Some(ColorSpace::Rec709);
+            notes.push(format!("color_space acescg: photos in {name} are taken as rec709"));
+        }
+        (stated, notes)
     }
 }
 
@@ -248,16 +272,16 @@ impl Capture {
             Entry { name, path: path.clone(), shot: *shot }
         };
         let entries = files.iter().map(entry).collect();
-        let color_space = ColorSpace::Rec709;
-        Self::read(Layout { entries, patch_size, transfer, color_space, unit: None, white_level }, options)
+        let (color_space, implied) = (None, false);
+        Self::read(Layout { entries, patch_size, transfer, implied, color_space, unit: None, white_level }, options)
     }
 
     fn read(layout: Layout, options: &CaptureOptions) -> Result<Self> {
-        let Layout { mut entries, patch_size, transfer, color_space, unit, white_level } = layout;
-        let (encoding, warning) = Encoding::new(transfer, color_space, white_level, options)?;
+        let Layout { entries, patch_size, transfer, implied, color_space, unit, white_level } = layout;
+        let encoding = Encoding::new(transfer, implied, color_space, white_level, options)?;
         check_patch_size(patch_size)?;
-        for entry in &mut entries {
-            entry.shot = encoding.shot(&entry.name, entry.shot)?;
+        for entry in &entries {
+            entry.shot.check(&entry.name)?;
         }
         let selected: Vec<_> = match &options.views {
             Some(views) => check_views(views, entries.len())?.iter().map(|&view| &entries[view]).collect(),
@@ -267,14 +291,15 @@ impl Capture {
             .par_iter()
             .map(|entry| {
                 let stored = read_stored(&entry.path)?;
-                let photo = develop(&entry.name, entry.shot, stored.pixels(), encoding, options.size)?;
+                let (pixels, colors) = (stored.pixels(), stored.colors.as_ref());
+                let photo = develop(&entry.name, entry.shot, pixels, colors, encoding, options.size)?;
                 Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
             })
             .collect::<Vec<_>>()
             // Of several bad photos the first is reported, every time.
             .into_iter()
             .collect::<Result<Vec<_>>>()?;
-        Self::assemble(loaded, patch_size, encoding.transfer, unit, options.size, warning)
+        Self::assemble(loaded, patch_size, unit, options.size)
     }
 
     /// A capture from photos in memory, with the checks of [`Capture::open_with`].
@@ -306,10 +331,10 @@ impl Capture {
         white_level: Option<f32>,
         options: &CaptureOptions,
     ) -> Result<Self> {
-        let (encoding, warning) = Encoding::new(transfer, ColorSpace::Rec709, white_level, options)?;
+        let encoding = Encoding::new(transfer, false, None, white_level, options)?;
         check_patch_size(patch_size)?;
         for photo in photos {
-            encoding.shot(photo.name, photo.shot)?;
+            photo.shot.check(photo.name)?;
             let expected = photo.width.checked_mul(photo.height).and_then(|n| n.checked_mul(photo.channels));
             if !(1..=4).contains(&photo.channels) || photo.samples.is_empty() || expected != Some(photo.samples.len()) {
                 return Err(Error::shape(
@@ -328,13 +353,13 @@ impl Capture {
             .map(|photo| {
                 let PhotoPixels { name, shot, width, height, channels, samples } = **photo;
                 let pixels = Pixels { width, height, channels, samples };
-                develop(name, encoding.shot(name, shot)?, pixels, encoding, options.size)
+                develop(name, shot, pixels, None, encoding, options.size)
             })
             .collect::<Vec<_>>()
             // Of several bad photos the first is reported, every time.
             .into_iter()
             .collect::<Result<Vec<_>>>()?;
-        Self::assemble(loaded, patch_size, encoding.transfer, None, options.size, warning)
+        Self::assemble(loaded, patch_size, None, options.size)
     }
 
     /// A capture from photos that are linear Rec. 709 already; `transfer` says how they were stored before.
@@ -358,20 +383,13 @@ impl Capture {
             .into_iter()
             .map(|photo| {
                 let full_size = (photo.image.width(), photo.image.height());
-                Loaded { photo, full_size, notes: Vec::new() }
+                Loaded { photo, transfer, full_size, notes: Vec::new() }
             })
             .collect();
-        Self::assemble(loaded, patch_size, transfer, None, None, None)
+        Self::assemble(loaded, patch_size, None, None)
     }
 
-    fn assemble(
-        loaded: Vec<Loaded>,
-        patch_size: f64,
-        transfer: Transfer,
-        unit: Option<String>,
-        size: Option<usize>,
-        warning: Option<String>,
-    ) -> Result<Self> {
+    fn assemble(loaded: Vec<Loaded>, patch_size: f64, unit: Option<String>, size: Option<usize>) -> Result<Self> {
         let Some(first) = loaded.first() else {
             return Err(Error::invalid("capture", "expected at least one photo, got 0"));
         };
@@ -383,7 +401,10 @@ impl Capture {
                 format!("{} x {}", other.full_size.0, other.full_size.1),
             ));
         }
-        let mut warnings = Vec::from_iter(warning);
+        // Only where a layout implies one do photos differ in it: by then some are encoded.
+        let encoded = loaded.iter().map(|photo| photo.transfer).find(|&transfer| transfer != Transfer::Linear);
+        let transfer = encoded.unwrap_or(Transfer::Linear);
+        let mut warnings = Vec::new();
         if let Some(size) = size.filter(|&size| size > width.max(height)) {
             warnings.push(format!("size {size} asked for, photos of {width} x {height} are not enlarged"));
         }
@@ -489,22 +510,36 @@ impl Capture {
     }
 }
 
-/// A photo, its size before resampling, and what there is to say about how it was read.
+/// A photo, how it was encoded, its size before resampling, and what there is to say about how it was read.
 struct Loaded {
     photo: Photo,
+    transfer: Transfer,
     full_size: (usize, usize),
     notes: Vec<String>,
 }
 
 /// Makes a linear photo of stored pixels: decodes, resamples to at most `size`, expands grey, converts to Rec. 709, notes what is saturated.
 ///
-/// A conversion mixes the channels: a pixel saturated in one is saturated in all then.
-fn develop(name: &str, shot: Shot, pixels: Pixels<'_>, encoding: Encoding, size: Option<usize>) -> Result<Loaded> {
-    let Encoding { transfer, color_space, white_level } = encoding;
+/// `colors` is what the file says of its colours. A conversion mixes the channels: a pixel saturated in one is saturated in all then.
+fn develop(
+    name: &str,
+    shot: Shot,
+    pixels: Pixels<'_>,
+    colors: Option<&FileColors>,
+    encoding: Encoding,
+    size: Option<usize>,
+) -> Result<Loaded> {
+    let white_level = encoding.white_level;
     if size == Some(0) {
         return Err(Error::invalid("size", "expected at least 1 pixel, got 0"));
     }
-    let mut notes = Vec::new();
+    let (stated, mut notes) = encoding.of_photo(pixels.samples);
+    let (decoding, note) = Decoding::new(stated, colors, pixels.colors())
+        .map_err(|got| Error::UnsupportedFormat { name: name.to_owned(), got })?;
+    notes.extend(note);
+    let light_intensity = stated.color_space.unwrap_or_default().convert(ColorSpace::Rec709, shot.light_intensity);
+    let shot = Shot { light_intensity, ..shot };
+    shot.check(name)?;
     if pixels.has_alpha() {
         notes.push("alpha ignored".to_owned());
     }
@@ -514,7 +549,7 @@ fn develop(name: &str, shot: Shot, pixels: Pixels<'_>, encoding: Encoding, size:
         _ => {}
     }
     let colors = pixels.colors();
-    let reader = RowReader::new(pixels, transfer, white_level);
+    let reader = RowReader::new(pixels, &decoding, white_level);
     let full_size = (pixels.width, pixels.height);
     let (width, height) = fit_size(pixels.width, pixels.height, size);
     let (mut values, mut saturated) =
@@ -526,13 +561,14 @@ fn develop(name: &str, shot: Shot, pixels: Pixels<'_>, encoding: Encoding, size:
         }
     }
     let mut image = Image::new(width, height, 3, values)?;
-    if color_space != ColorSpace::Rec709 {
-        color_space.convert_image(ColorSpace::Rec709, &mut image);
+    if let Some(to_rec709) = &decoding.to_rec709 {
+        apply_to_image(to_rec709, &mut image);
         for bits in &mut saturated {
             *bits = if *bits == 0 { 0 } else { 7 };
         }
     }
-    Ok(Loaded { photo: Photo { name: name.to_owned(), shot, image, saturated }, full_size, notes })
+    let photo = Photo { name: name.to_owned(), shot, image, saturated };
+    Ok(Loaded { photo, transfer: stated.transfer, full_size, notes })
 }
 
 fn check_patch_size(patch_size: f64) -> Result<()> {

@@ -62,6 +62,9 @@ struct CaptureArgs {
     /// Colour space of linear photos and of their light, instead of what the capture states; `fit` also writes the albedos in it.
     #[arg(long, value_enum)]
     color_space: Option<ColorSpaceArg>,
+    /// Read photos as if their files held no colour profiles.
+    #[arg(long)]
+    ignore_profiles: bool,
 }
 
 impl CaptureArgs {
@@ -71,6 +74,7 @@ impl CaptureArgs {
         options.views.clone_from(&self.views);
         options.transfer = self.transfer.map(Transfer::from);
         options.color_space = self.color_space.map(ColorSpace::from);
+        options.ignore_profiles = self.ignore_profiles;
         options
     }
 }

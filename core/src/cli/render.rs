@@ -8,7 +8,7 @@ use super::{ColorSpaceArg, TransferArg, Triple};
 use crate::capture::Shot;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
-use crate::io::write_image;
+use crate::io::write_image_in;
 use crate::material::Material;
 use crate::render::render;
 
@@ -60,5 +60,5 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let shot = Shot { camera: args.camera.0, light: args.light.0, light_intensity };
     let mut picture = render(&material, &shot)?;
     ColorSpace::Rec709.convert_image(color_space, &mut picture);
-    write_image(&args.out, &picture, transfer)
+    write_image_in(&args.out, &picture, transfer, color_space)
 }

@@ -8,8 +8,9 @@ use image::codecs::png::PngDecoder;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageError};
 
+use super::profile::{Decoding, FileColors};
 use super::{exr, jpeg, tiff};
-use crate::color::Transfer;
+use crate::color::{Chromaticities, Transfer};
 use crate::error::{Error, Result};
 use crate::image::Image;
 
@@ -90,6 +91,8 @@ pub(crate) struct Stored {
     pub height: usize,
     pub channels: usize,
     pub samples: OwnedSamples,
+    /// What the file says of its colours; nothing where it does not.
+    pub colors: Option<FileColors>,
     /// What a user may want to know about how the file was read.
     pub notes: Vec<String>,
 }
@@ -108,7 +111,8 @@ impl Stored {
     pub fn to_image(&self, transfer: Transfer) -> Result<Image> {
         let pixels = self.pixels();
         let colors = pixels.colors();
-        let reader = RowReader::new(pixels, transfer, None);
+        let decoding = Decoding::transfer(transfer);
+        let reader = RowReader::new(pixels, &decoding, None);
         let mut data = vec![0.0; self.width * self.height * colors];
         for (y, row) in data.chunks_exact_mut(self.width * colors).enumerate() {
             reader.read(y, row, None);
@@ -130,7 +134,7 @@ impl Stored {
         let (width, height) = if swaps_axes(orientation) { (height, width) } else { (width, height) };
         let mut notes = self.notes;
         notes.push(format!("orientation {} of the file applied", orientation.to_exif()));
-        Self { width, height, channels, samples, notes }
+        Self { width, height, channels, samples, colors: self.colors, notes }
     }
 }
 
@@ -162,44 +166,48 @@ fn oriented<T: Copy>(values: &[T], width: usize, height: usize, channels: usize,
     out
 }
 
-/// Rows of stored pixels as linear values without alpha.
+/// Rows of stored pixels as values without alpha that `decoding` makes linear.
 pub(crate) struct RowReader<'a> {
     pixels: Pixels<'a>,
-    transfer: Transfer,
-    /// Linear value of every code of an integer format.
-    table: Vec<f32>,
+    decoding: &'a Decoding,
+    /// The value of every code of an integer format; for each channel, or one for all.
+    tables: Vec<Vec<f32>>,
     white_level: Option<f32>,
 }
 
 impl<'a> RowReader<'a> {
     /// `white_level` is the stored value at which float samples are saturated.
-    pub fn new(pixels: Pixels<'a>, transfer: Transfer, white_level: Option<f32>) -> Self {
+    pub fn new(pixels: Pixels<'a>, decoding: &'a Decoding, white_level: Option<f32>) -> Self {
         let codes: u32 = match pixels.samples {
             Samples::U8(_) => 1 << 8,
             Samples::U16(_) => 1 << 16,
             Samples::F32(_) => 0,
         };
-        let table = (0..codes).map(|code| transfer.decode(code as f32 / (codes - 1) as f32)).collect();
-        Self { pixels, transfer, table, white_level }
+        let channels = if decoding.is_uniform() { 1 } else { pixels.colors() };
+        let value = |channel, code| decoding.value(channel, code as f32 / (codes - 1) as f32);
+        let table = |channel| (0..codes).map(|code| value(channel, code)).collect();
+        Self { pixels, decoding, tables: (0..channels).map(table).collect(), white_level }
     }
 
-    /// Row `y` as `colors` linear values per pixel; where `saturated` is given, it gets one byte per pixel whose bit c says
-    /// that channel c stands at the encoding's upper end, or so near that compression may have moved it.
+    /// Row `y` as `colors` linear values per pixel, but for [`Decoding::to_rec709`]; where `saturated` is given, it gets one byte per
+    /// pixel whose bit c says that channel c stands at the encoding's upper end, or so near that compression may have moved it.
     pub fn read(&self, y: usize, row: &mut [f32], saturated: Option<&mut [u8]>) {
         let stride = self.pixels.width * self.pixels.channels;
         let range = y * stride..(y + 1) * stride;
+        let table = |channel: usize| &self.tables[channel % self.tables.len()];
         match self.pixels.samples {
             Samples::U8(values) => {
-                self.convert(&values[range], row, saturated, |v| self.table[usize::from(v)], |v| v >= SATURATED_U8)
+                self.convert(&values[range], row, saturated, |c, v| table(c)[usize::from(v)], |v| v >= SATURATED_U8)
             }
             Samples::U16(values) => {
-                self.convert(&values[range], row, saturated, |v| self.table[usize::from(v)], |v| v >= SATURATED_U16)
+                self.convert(&values[range], row, saturated, |c, v| table(c)[usize::from(v)], |v| v >= SATURATED_U16)
             }
             Samples::F32(values) => {
                 let white = self.white_level.unwrap_or(f32::INFINITY);
-                self.convert(&values[range], row, saturated, |v| self.transfer.decode(v), |v| v >= white)
+                self.convert(&values[range], row, saturated, |c, v| self.decoding.value(c, v), |v| v >= white)
             }
         }
+        self.decoding.finish(row);
     }
 
     fn convert<T: Copy>(
@@ -207,14 +215,14 @@ impl<'a> RowReader<'a> {
         stored: &[T],
         row: &mut [f32],
         saturated: Option<&mut [u8]>,
-        linear: impl Fn(T) -> f32,
+        linear: impl Fn(usize, T) -> f32,
         full: impl Fn(T) -> bool,
     ) {
         let colors = self.pixels.colors();
         let pixels = stored.chunks_exact(self.pixels.channels);
         for (pixel, out) in pixels.clone().zip(row.chunks_exact_mut(colors)) {
-            for (out, &value) in out.iter_mut().zip(pixel) {
-                *out = linear(value);
+            for (channel, (out, &value)) in out.iter_mut().zip(pixel).enumerate() {
+                *out = linear(channel, value);
             }
         }
         if let Some(saturated) = saturated {
@@ -327,7 +335,49 @@ pub(super) fn plausible_bytes(file_bytes: usize) -> u64 {
 fn decode_png(path: &Path, bytes: &[u8]) -> Result<Stored> {
     let mut limits = image::Limits::no_limits();
     limits.max_alloc = Some(plausible_bytes(bytes.len()).min(MAX_DECODED_BYTES));
-    decode_with(path, bytes, PngDecoder::with_limits(Cursor::new(bytes), limits).map_err(|e| image_error(path, e))?)
+    let decoder = PngDecoder::with_limits(Cursor::new(bytes), limits).map_err(|e| image_error(path, e))?;
+    let stored = decode_with(path, bytes, decoder)?;
+    Ok(Stored { colors: png_colors(bytes, stored.colors), ..stored })
+}
+
+/// What the chunks of a PNG say of its colours beside its profile, by their rank: `cICP`, the profile, `sRGB`, `gAMA` and `cHRM`.
+///
+/// # Source
+/// W3C, Portable Network Graphics (Third Edition), 11.3.2 and 4.3.
+fn png_colors(bytes: &[u8], profile: Option<FileColors>) -> Option<FileColors> {
+    let (mut gamma, mut chromaticities, mut is_srgb) = (None, None, false);
+    let mut rest = bytes.get(8..)?;
+    while let Some((head, tail)) = rest.split_first_chunk::<8>() {
+        let [length @ .., _, _, _, _] = *head;
+        let (Ok(length), name) = (usize::try_from(u32::from_be_bytes(length)), &head[4..]) else { break };
+        let Some((data, after)) = tail.split_at_checked(length) else { break };
+        let hundred_thousandths = || data.as_chunks().0.iter().map(|&word| f64::from(u32::from_be_bytes(word)) / 1e5);
+        match (name, data) {
+            (b"IDAT", _) => break,
+            (b"cICP", &[primaries, transfer, ..]) => return Some(FileColors::CodePoints { primaries, transfer }),
+            (b"sRGB", _) => is_srgb = true,
+            (b"gAMA", _) => gamma = hundred_thousandths().next(),
+            (b"cHRM", _) => {
+                let numbers: Vec<f64> = hundred_thousandths().collect();
+                if let &[x, y, rx, ry, gx, gy, bx, by] = numbers.as_slice() {
+                    chromaticities = Some(Chromaticities { primaries: [[rx, ry], [gx, gy], [bx, by]], white: [x, y] });
+                }
+            }
+            _ => {}
+        }
+        rest = after.get(4..)?;
+    }
+    if profile.is_some() || is_srgb {
+        return profile;
+    }
+    // 1/2.2 is what programs write for sRGB itself.
+    let gamma =
+        gamma.filter(|&gamma| gamma > 0.0 && (gamma - 1.0 / 2.2).abs() > 0.005).map(|gamma| (1.0 / gamma) as f32);
+    if gamma.is_none() && chromaticities.is_none() {
+        return None;
+    }
+    let chromaticities = chromaticities.unwrap_or(Chromaticities::REC709);
+    Some(FileColors::Chromaticities { chromaticities, gamma, source: "the chunks gAMA and cHRM" })
 }
 
 pub(super) fn decode_jpeg(path: &Path, bytes: &[u8]) -> Result<Stored> {
@@ -343,7 +393,8 @@ fn decode_with(path: &Path, bytes: &[u8], mut decoder: impl ImageDecoder) -> Res
     let bytes_per_pixel = u64::from(decoder.color_type().bytes_per_pixel());
     check_size(path, width.into(), height.into(), bytes_per_pixel, bytes.len())?;
     let exif = decoder.exif_metadata().ok().flatten();
-    let orientation = exif.and_then(|exif| tiff::exif_orientation(&exif)).unwrap_or(Orientation::NoTransforms);
+    let exif = exif.as_deref().map(tiff::Exif::read).unwrap_or_default();
+    let profile = decoder.icc_profile().ok().flatten().filter(|profile| !profile.is_empty()).map(FileColors::Icc);
     let (channels, samples) = match DynamicImage::from_decoder(decoder).map_err(|e| image_error(path, e))? {
         DynamicImage::ImageLuma8(image) => (1, OwnedSamples::U8(image.into_raw())),
         DynamicImage::ImageLumaA8(image) => (2, OwnedSamples::U8(image.into_raw())),
@@ -355,8 +406,10 @@ fn decode_with(path: &Path, bytes: &[u8], mut decoder: impl ImageDecoder) -> Res
         DynamicImage::ImageRgba16(image) => (4, OwnedSamples::U16(image.into_raw())),
         other => return Err(unsupported(path, format!("{:?} pixels", other.color()))),
     };
-    let stored = Stored { width: width as usize, height: height as usize, channels, samples, notes: Vec::new() };
-    Ok(stored.orient(orientation))
+    let colors = profile.or(exif.colors);
+    let stored =
+        Stored { width: width as usize, height: height as usize, channels, samples, colors, notes: Vec::new() };
+    Ok(stored.orient(exif.orientation.unwrap_or(Orientation::NoTransforms)))
 }
 
 fn image_error(path: &Path, error: ImageError) -> Error {

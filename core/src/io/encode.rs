@@ -11,7 +11,7 @@ use tiff::encoder::{TiffEncoder, colortype};
 use super::decode::{broken, unsupported};
 use super::exr::{self, Precision};
 use super::save::write_files;
-use crate::color::Transfer;
+use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::image::Image;
 
@@ -25,7 +25,11 @@ const JPEG_QUALITY: u8 = 95;
 /// [`Error::UnsupportedFormat`] for another extension, [`Error::ShapeMismatch`] for another number of channels,
 /// [`Error::InvalidArgument`] for a value that is not finite, [`Error::Io`] if the file cannot be written.
 pub fn write_image(path: impl AsRef<Path>, image: &Image, transfer: Transfer) -> Result<()> {
-    let path = path.as_ref();
+    write_image_in(path.as_ref(), image, transfer, ColorSpace::Rec709)
+}
+
+/// [`write_image`] of values in `color_space`, which OpenEXR files state.
+pub(crate) fn write_image_in(path: &Path, image: &Image, transfer: Transfer, color_space: ColorSpace) -> Result<()> {
     if !matches!(image.channels(), 1 | 3) {
         return Err(Error::shape("image", "1 or 3 channels", image.channels().to_string()));
     }
@@ -38,7 +42,9 @@ pub fn write_image(path: impl AsRef<Path>, image: &Image, transfer: Transfer) ->
     let bytes = match extension.as_str() {
         "png" => png8(path, image, transfer)?,
         "jpg" | "jpeg" => jpeg(path, image, transfer)?,
-        "exr" => exr::encode(path, image.width(), image.height(), &named_channels(image), Precision::Float)?,
+        "exr" => {
+            exr::encode(path, image.width(), image.height(), &named_channels(image), Precision::Float, color_space)?
+        }
         "tif" | "tiff" => tiff_float(path, image)?,
         other => return Err(unsupported(path, format!("extension {other:?}; written are .png, .jpg, .exr and .tif"))),
     };

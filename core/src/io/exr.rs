@@ -8,10 +8,13 @@ use exr::image::read::read;
 use exr::image::write::WritableImage;
 use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer};
 use exr::math::Vec2;
+use exr::meta::attribute;
 use exr::meta::header::LayerAttributes;
 use exr::prelude::{ReadChannels, ReadLayers, f16};
 
 use super::decode::{OwnedSamples, Stored, broken, check_size, unsupported};
+use super::profile::FileColors;
+use crate::color::{Chromaticities, ColorSpace};
 use crate::error::{Error, Result};
 
 /// How the values of a written file are stored.
@@ -37,9 +40,18 @@ fn decode_unguarded(path: &Path, bytes: &[u8]) -> Result<Stored> {
             check_size(path, size.width() as u64, size.height() as u64, bytes_per_pixel, bytes.len())?;
         }
     }
-    let Some(display) = reader.headers().first().map(|header| header.shared_attributes.display_window) else {
+    let Some(attributes) = reader.headers().first().map(|header| &header.shared_attributes) else {
         return Err(broken(path, "no image in the file"));
     };
+    let display = attributes.display_window;
+    let colors = attributes.chromaticities.map(|c| FileColors::Chromaticities {
+        chromaticities: Chromaticities {
+            primaries: [c.red, c.green, c.blue].map(|xy| [xy.x().into(), xy.y().into()]),
+            white: [c.white.x().into(), c.white.y().into()],
+        },
+        gamma: None,
+        source: "the chromaticities of the OpenEXR file",
+    });
 
     let image = read()
         .no_deep_data()
@@ -92,7 +104,7 @@ fn decode_unguarded(path: &Path, bytes: &[u8]) -> Result<Stored> {
         }
     }
     let (width, height) = (window.width, window.height);
-    Ok(Stored { width, height, channels: picked.len(), samples: OwnedSamples::F32(values), notes })
+    Ok(Stored { width, height, channels: picked.len(), samples: OwnedSamples::F32(values), colors, notes })
 }
 
 /// The display window, and where the data window lies in it.
@@ -146,13 +158,15 @@ fn exr_error(path: &Path, error: exr::error::Error) -> Error {
     }
 }
 
-/// An OpenEXR file of the named channels, losslessly compressed.
+/// An OpenEXR file of the named channels, losslessly compressed. `color_space` is stated where it is not Rec. 709, which is what the format
+/// means by nothing.
 pub(super) fn encode(
     path: &Path,
     width: usize,
     height: usize,
     channels: &[(&str, Vec<f32>)],
     precision: Precision,
+    color_space: ColorSpace,
 ) -> Result<Vec<u8>> {
     let list = channels
         .iter()
@@ -167,7 +181,14 @@ pub(super) fn encode(
     let layer =
         Layer::new(Vec2(width, height), LayerAttributes::default(), Encoding::SMALL_LOSSLESS, AnyChannels::sort(list));
     let mut bytes = Cursor::new(Vec::new());
-    ExrImage::from_layer(layer).write().non_parallel().to_buffered(&mut bytes).map_err(|e| exr_error(path, e))?;
+    let mut image = ExrImage::from_layer(layer);
+    if color_space != ColorSpace::Rec709 {
+        let Chromaticities { primaries, white } = color_space.chromaticities();
+        let [red, green, blue, white] =
+            [primaries[0], primaries[1], primaries[2], white].map(|[x, y]| Vec2(x as f32, y as f32));
+        image.attributes.chromaticities = Some(attribute::Chromaticities { red, green, blue, white });
+    }
+    image.write().non_parallel().to_buffered(&mut bytes).map_err(|e| exr_error(path, e))?;
     Ok(bytes.into_inner())
 }
 

@@ -382,9 +382,11 @@ impl Material {
         let material = Self::from_maps(&maps, self.patch_size)?;
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
         let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
-        let encode = |path: &Path, image: &Image, transfer| match options.format {
+        let encode = |path: &Path, image: &Image, transfer, color_space: Option<ColorSpace>| match options.format {
             MaterialFormat::Exr => {
-                exr::encode(path, image.width(), image.height(), &named_channels(image), Precision::Half)
+                let channels = named_channels(image);
+                let color_space = color_space.unwrap_or_default();
+                exr::encode(path, image.width(), image.height(), &channels, Precision::Half, color_space)
             }
             MaterialFormat::Png16 => png16(path, image, transfer),
             MaterialFormat::Tiff => tiff_float(path, image),
@@ -401,7 +403,7 @@ impl Material {
                 color_space: map.is_color().then_some(options.color_space),
             };
             let path = folder.join(&entry.file);
-            let bytes = encode(&path, image, entry.transfer)?;
+            let bytes = encode(&path, image, entry.transfer, entry.color_space)?;
             files.push((path, bytes));
             Ok(entry)
         };
@@ -423,7 +425,7 @@ impl Material {
                 return Err(Error::shape(name, format!("shape {expected:?}"), format!("{size:?}")));
             }
             let path = folder.join(&name);
-            files.push((path.clone(), encode(&path, image, Transfer::Linear)?));
+            files.push((path.clone(), encode(&path, image, Transfer::Linear, None)?));
             Ok(name)
         };
         let deviations = match &options.deviations {

@@ -2,8 +2,8 @@
 //!
 //! Images are recognised by their first bytes, not by their names. What is read: PNG 8 and 16 bit, JPEG, TIFF 8 and 16 bit and
 //! half, single and double float, OpenEXR half and float. Orientation tags (EXIF, TIFF) are applied, so that row 0 is the row a
-//! viewer shows on top; an OpenEXR image is its display window. Colour profiles and gamma tags are not read: the transfer
-//! function is always stated by the caller or the capture.
+//! viewer shows on top; an OpenEXR image is its display window. Colour profiles count where photos of a capture are read
+//! ([`CaptureOptions::ignore_profiles`](crate::CaptureOptions::ignore_profiles)); everywhere else the encoding is what the caller states.
 
 mod decode;
 mod encode;
@@ -12,6 +12,7 @@ mod font;
 mod jpeg;
 pub mod material;
 pub mod preview;
+pub(crate) mod profile;
 pub(crate) mod resize;
 pub(crate) mod save;
 mod tiff;
@@ -19,7 +20,7 @@ mod tiff;
 use std::path::Path;
 
 pub use encode::write_image;
-pub(crate) use encode::{png8, png16};
+pub(crate) use encode::{png8, png16, write_image_in};
 
 use crate::color::Transfer;
 use crate::error::Result;

@@ -17,6 +17,8 @@ use weezl::{BitOrder, LzwStatus, decode::Configuration};
 use super::decode::{
     MAX_DECODED_BYTES, OwnedSamples, Stored, broken, check_size, decode_jpeg, plausible_bytes, unsupported, zeroed,
 };
+use super::profile::FileColors;
+use crate::color::Chromaticities;
 use crate::error::Result;
 
 /// More directories than this no photo file has.
@@ -46,6 +48,12 @@ mod tag {
     pub const EXTRA_SAMPLES: u16 = 338;
     pub const SAMPLE_FORMAT: u16 = 339;
     pub const JPEG_TABLES: u16 = 347;
+    pub const WHITE_POINT: u16 = 318;
+    pub const PRIMARY_CHROMATICITIES: u16 = 319;
+    pub const ICC_PROFILE: u16 = 34675;
+    pub const EXIF_DIRECTORY: u16 = 34665;
+    pub const EXIF_COLOR_SPACE: u16 = 40961;
+    pub const INTEROPERABILITY_DIRECTORY: u16 = 40965;
     pub const DNG_VERSION: u16 = 50706;
 }
 
@@ -172,6 +180,25 @@ impl<'a> Directory<'a> {
         Some(self.entry(tag)?.data)
     }
 
+    /// The values of a tag of fractions.
+    fn fractions(&self, tag: u16) -> Option<Vec<f64>> {
+        let entry = self.entry(tag).filter(|entry| entry.kind == 5)?;
+        let file = File { bytes: entry.data, ..self.file };
+        let fraction = |i: usize| Some(file.number(8 * i, 4)? as f64 / file.number(8 * i + 4, 4)? as f64);
+        (0..entry.data.len() / 8).map(fraction).collect()
+    }
+
+    /// What the page says of its colours.
+    fn colors(&self) -> Option<FileColors> {
+        if let Some(profile) = self.bytes(tag::ICC_PROFILE) {
+            return Some(FileColors::Icc(profile.to_vec()));
+        }
+        let (white, primaries) = (self.fractions(tag::WHITE_POINT)?, self.fractions(tag::PRIMARY_CHROMATICITIES)?);
+        let (&[x, y], &[rx, ry, gx, gy, bx, by]) = (white.as_slice(), primaries.as_slice()) else { return None };
+        let chromaticities = Chromaticities { primaries: [[rx, ry], [gx, gy], [bx, by]], white: [x, y] };
+        Some(FileColors::Chromaticities { chromaticities, gamma: None, source: "the chromaticities of the TIFF" })
+    }
+
     fn is_reduced(&self) -> bool {
         self.number(tag::NEW_SUBFILE_TYPE).unwrap_or(0) & 1 == 1 || self.number(tag::SUBFILE_TYPE) == Some(2)
     }
@@ -194,10 +221,32 @@ impl<'a> Directory<'a> {
     }
 }
 
-/// The orientation that EXIF data ask for.
-pub(super) fn exif_orientation(exif: &[u8]) -> Option<Orientation> {
-    let (file, first) = File::open(exif)?;
-    file.directory(first)?.orientation()
+/// What is taken from EXIF data.
+#[derive(Default)]
+pub(super) struct Exif {
+    pub orientation: Option<Orientation>,
+    /// Cameras name Adobe RGB there, often without a profile.
+    pub colors: Option<FileColors>,
+}
+
+impl Exif {
+    pub fn read(exif: &[u8]) -> Self {
+        let Some((file, first)) = File::open(exif) else { return Self::default() };
+        let Some(main) = file.directory(first) else { return Self::default() };
+        let below = |directory: &Directory<'_>, tag| directory.number(tag).and_then(|offset| file.directory(offset));
+        let photo = below(&main, tag::EXIF_DIRECTORY);
+        // DCF 2.0: the colour space is "uncalibrated" and the index of interoperability R03; some cameras write 2.
+        let color_space = photo.as_ref().and_then(|photo| photo.number(tag::EXIF_COLOR_SPACE));
+        let index = photo.as_ref().and_then(|photo| below(photo, tag::INTEROPERABILITY_DIRECTORY));
+        let is_r03 = index.and_then(|index| index.bytes(1)).is_some_and(|index| index.starts_with(b"R03"));
+        let is_adobe_rgb = color_space == Some(2) || color_space == Some(0xffff) && is_r03;
+        let adobe_rgb = FileColors::Chromaticities {
+            chromaticities: Chromaticities::ADOBE_RGB,
+            gamma: Some(563.0 / 256.0),
+            source: "Adobe RGB, which its EXIF data name",
+        };
+        Self { orientation: main.orientation(), colors: is_adobe_rgb.then_some(adobe_rgb) }
+    }
 }
 
 /// The directories of a file: those of its chain, each followed by those below it.
@@ -287,6 +336,7 @@ struct Page<'a> {
     /// For JPEG: what all chunks share, and whether they hold YCbCr.
     jpeg_tables: &'a [u8],
     ycbcr: bool,
+    file_colors: Option<FileColors>,
     notes: Vec<String>,
 }
 
@@ -390,6 +440,7 @@ impl<'a> Page<'a> {
             lengths,
             jpeg_tables: page.bytes(tag::JPEG_TABLES).unwrap_or_default(),
             ycbcr: photometric == photometric::YCBCR,
+            file_colors: page.colors(),
             notes: extra_note(page, samples - colors).into_iter().collect(),
         })
     }
@@ -405,7 +456,8 @@ impl<'a> Page<'a> {
             Kind::F32 => OwnedSamples::F32(self.floats(f32::from_ne_bytes)?),
             Kind::F64 => OwnedSamples::F32(self.floats(|v| f64::from_ne_bytes(v) as f32)?),
         };
-        Ok(Stored { width: self.width, height: self.height, channels: self.colors, samples, notes: self.notes })
+        let (channels, colors) = (self.colors, self.file_colors);
+        Ok(Stored { width: self.width, height: self.height, channels, samples, colors, notes: self.notes })
     }
 
     fn floats<const N: usize>(&self, value: impl Fn([u8; N]) -> f32) -> Result<Vec<f32>> {

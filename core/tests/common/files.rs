@@ -2,6 +2,18 @@
 
 /// A PNG of 8- or 16-bit samples (each `u16` is one sample), uncompressed. `kind`: 0 grey, 2 RGB, 4 grey and alpha, 6 RGB and alpha.
 pub fn png(width: u32, height: u32, kind: u8, depth: u8, samples: &[u16]) -> Vec<u8> {
+    png_with(width, height, kind, depth, samples, &[])
+}
+
+/// [`png`] with `chunks` before the pixels.
+pub fn png_with(
+    width: u32,
+    height: u32,
+    kind: u8,
+    depth: u8,
+    samples: &[u16],
+    chunks: &[(&[u8; 4], Vec<u8>)],
+) -> Vec<u8> {
     let channels = [1, 0, 3, 0, 2, 0, 4][usize::from(kind)];
     assert_eq!(samples.len(), (width * height) as usize * channels);
     let mut raw = Vec::new();
@@ -34,7 +46,10 @@ pub fn png(width: u32, height: u32, kind: u8, depth: u8, samples: &[u16]) -> Vec
     header.extend(height.to_be_bytes());
     header.extend([depth, kind, 0, 0, 0]);
     let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
-    for (name, data) in [(b"IHDR", header), (b"IDAT", zlib), (b"IEND", Vec::new())] {
+    let mut all = vec![(b"IHDR", header)];
+    all.extend(chunks.iter().cloned());
+    all.extend([(b"IDAT", zlib), (b"IEND", Vec::new())]);
+    for (name, data) in all {
         file.extend((data.len() as u32).to_be_bytes());
         let start = file.len();
         file.extend(name);
@@ -132,6 +147,8 @@ pub struct Tiff {
     pub subfile: u64,
     /// Rows that the data of a single strip hold, if not those of the page.
     pub stored_rows: Option<usize>,
+    /// An ICC profile; none if empty.
+    pub profile: &'static [u8],
     pub sample: Sample,
 }
 
@@ -156,6 +173,7 @@ impl Tiff {
         photometric: 2,
         subfile: 0,
         stored_rows: None,
+        profile: &[],
         sample: |x, y, c| (x * 1543 + y * 377 + c * 20011) as u64 % 65536,
     };
 
@@ -320,13 +338,20 @@ pub fn tiff_pages(chain: &[Tiff], below: &[Tiff]) -> Vec<u8> {
             kinds[0] = page.extra_kind;
             entries.push((338, 3, kinds));
         }
+        if !page.profile.is_empty() {
+            entries.push((34675, 7, page.profile.iter().map(|&byte| byte.into()).collect()));
+        }
         if !below.is_empty() {
             entries.push((330, 13, below.to_vec()));
         }
         entries.sort_by_key(|entry| entry.0);
         let mut directory = bytes(entries.len() as u64, if head.big_tiff { 8 } else { 2 });
         for (tag, kind, values) in entries {
-            let size = if kind == 3 { 2 } else { 4 };
+            let size = match kind {
+                3 => 2,
+                7 => 1,
+                _ => 4,
+            };
             let data: Vec<u8> = values.iter().flat_map(|&value| bytes(value, size)).collect();
             let mut field = if data.len() <= word { data } else { bytes(place(file, &data), word) };
             field.resize(word, 0);
@@ -350,6 +375,16 @@ pub fn tiff_pages(chain: &[Tiff], below: &[Tiff]) -> Vec<u8> {
 /// An uncompressed OpenEXR file of float channels (sorted by name, as the format wants): `data` and `display` are
 /// (x, y, width, height); every channel has the data window's samples.
 pub fn exr(data: [i32; 4], display: [i32; 4], channels: &[(&str, &[f32])]) -> Vec<u8> {
+    exr_with(data, display, channels, None)
+}
+
+/// [`exr`] that states chromaticities: x and y of red, green, blue and white.
+pub fn exr_with(
+    data: [i32; 4],
+    display: [i32; 4],
+    channels: &[(&str, &[f32])],
+    chromaticities: Option<[f32; 8]>,
+) -> Vec<u8> {
     let mut file = vec![0x76, 0x2f, 0x31, 0x01, 2, 0, 0, 0];
     let mut attribute = |name: &str, kind: &str, value: &[u8]| {
         for text in [name, kind] {
@@ -371,6 +406,9 @@ pub fn exr(data: [i32; 4], display: [i32; 4], channels: &[(&str, &[f32])]) -> Ve
     list.push(0);
     let window = |[x, y, width, height]: [i32; 4]| [x, y, x + width - 1, y + height - 1].map(i32::to_le_bytes).concat();
     attribute("channels", "chlist", &list);
+    if let Some(chromaticities) = chromaticities {
+        attribute("chromaticities", "chromaticities", &chromaticities.map(f32::to_le_bytes).concat());
+    }
     attribute("compression", "compression", &[0]);
     attribute("dataWindow", "box2i", &window(data));
     attribute("displayWindow", "box2i", &window(display));
@@ -393,4 +431,53 @@ pub fn exr(data: [i32; 4], display: [i32; 4], channels: &[(&str, &[f32])]) -> Ve
         }
     }
     file
+}
+
+/// The chunk that holds an ICC profile in a PNG.
+pub fn iccp(profile: &[u8]) -> (&'static [u8; 4], Vec<u8>) {
+    let mut encoder = flate2::write::ZlibEncoder::new(b"profile\0\0".to_vec(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut encoder, profile).unwrap();
+    (b"iCCP", encoder.finish().unwrap())
+}
+
+/// A JPEG file with a segment put behind its first marker.
+pub fn jpeg_with(file: &[u8], marker: u8, segment: &[u8]) -> Vec<u8> {
+    let mut out = vec![0xff, 0xd8, 0xff, marker];
+    out.extend((segment.len() as u16 + 2).to_be_bytes());
+    out.extend(segment);
+    out.extend(&file[2..]);
+    out
+}
+
+/// An ICC profile whose only tag is a table: linear values in the primaries of sRGB, with 2 x 2 x 2 entries.
+pub fn table_profile() -> Vec<u8> {
+    let mut table = b"mft2\0\0\0\0\x03\x03\x02\0".to_vec();
+    for i in 0..9 {
+        table.extend(if i % 4 == 0 { 65536u32 } else { 0 }.to_be_bytes());
+    }
+    table.extend([0, 2, 0, 2]);
+    let linear = [0u16, 65535].map(u16::to_be_bytes).concat().repeat(3);
+    table.extend(&linear);
+    // IEC 61966-2-1 relative to D50; 1 is stored as 32768.
+    let colorants = [[0.4361, 0.2225, 0.0139], [0.3851, 0.7169, 0.0971], [0.1431, 0.0606, 0.7141]];
+    for corner in 0..8 {
+        for axis in 0..3 {
+            let sum: f64 = (0..3).map(|c| f64::from(corner >> (2 - c) & 1) * colorants[c][axis]).sum();
+            table.extend(((sum * 32768.0).round() as u16).to_be_bytes());
+        }
+    }
+    table.extend(&linear);
+    let mut profile = vec![0; 128];
+    profile[8..12].copy_from_slice(&[2, 0x40, 0, 0]);
+    profile[12..24].copy_from_slice(b"scnrRGB XYZ ");
+    profile[36..40].copy_from_slice(b"acsp");
+    profile[68..80].copy_from_slice(&[0, 0, 0xf6, 0xd6, 0, 1, 0, 0, 0, 0, 0xd3, 0x2d]);
+    profile.extend(1u32.to_be_bytes());
+    profile.extend(b"A2B0");
+    profile.extend(144u32.to_be_bytes());
+    profile.extend((table.len() as u32).to_be_bytes());
+    profile.extend(table);
+    let length = profile.len() as u32;
+    profile[..4].copy_from_slice(&length.to_be_bytes());
+    profile
 }
