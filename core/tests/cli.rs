@@ -226,6 +226,8 @@ fn exports_and_colour_spaces() {
     let read = |name: &str| svbrdf_gcn::io::read_image(at(name), svbrdf_gcn::Transfer::Linear).unwrap();
     let (mut rec709, acescg) = (read("rec709.exr"), read("acescg.exr"));
     assert_ne!(rec709, acescg);
+    let states = |name: &str| std::fs::read(at(name)).unwrap().windows(14).any(|bytes| bytes == b"chromaticities");
+    assert!(states("acescg.exr") && !states("rec709.exr"));
     let mut back = acescg.clone();
     svbrdf_gcn::ColorSpace::AcesCg.convert_image(svbrdf_gcn::ColorSpace::Rec709, &mut back);
     // Lights of (900, 800, 700) in either space are not the same light: compare with the light converted by hand.

@@ -151,6 +151,30 @@ fn tiff_in_every_layout() {
 }
 
 #[test]
+fn tiff_in_jpeg() {
+    for (colors, photometric) in [(1, 1), (3, 6)] {
+        for (tile, rows) in [(0, 8), (16, 0)] {
+            let sample: files::Sample = |x, y, c| (50 + 4 * x + 5 * y - 20 * c) as u64;
+            let page = files::Tiff {
+                width: 23,
+                height: 17,
+                bits: 8,
+                compression: 7,
+                colors,
+                photometric,
+                tile,
+                rows,
+                sample,
+                ..files::Tiff::RGB16
+            };
+            let image = decode(&page.file());
+            assert_eq!((image.width(), image.height(), image.channels()), (23, 17, colors));
+            assert_close(&image, &self::colors(&page), 0.04);
+        }
+    }
+}
+
+#[test]
 fn tiff_streams_that_are_short_or_long() {
     for compression in [1, 5, 8, 32773] {
         let page = files::Tiff { width: 16, height: 16, compression, ..files::Tiff::RGB16 };

@@ -15,7 +15,7 @@ use svbrdf_gcn::io::material::{
     LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_deviations, read_report,
 };
 use svbrdf_gcn::io::read_image;
-use svbrdf_gcn::{ColorSpace, Deviations, Image, Lobe, Maps, Material, Transfer};
+use svbrdf_gcn::{Capture, ColorSpace, Deviations, Image, Lobe, Maps, Material, Transfer};
 use tempfile::TempDir;
 
 const SIZE: (usize, usize) = (5, 3);
@@ -415,4 +415,31 @@ fn ground_truth_maps_open() {
         count += 1;
     }
     assert_eq!(count, 12);
+}
+
+/// What is written in ACEScg says so: as a photo it has the same colours.
+#[test]
+fn openexr_files_in_acescg_state_their_chromaticities() {
+    let dir = TempDir::new().unwrap();
+    let material = material(Lobe::Isotropic);
+    for space in [ColorSpace::AcesCg, ColorSpace::Rec709] {
+        let folder = dir.path().join(space.name());
+        material.save(&folder, &SaveOptions::new(MaterialFormat::Exr).color_space(space)).unwrap();
+        for (name, image) in images(&material) {
+            let photos = json!([{"file": format!("{name}.exr"), "camera": [0, 0, 1]}]);
+            let capture = json!({"format": "svbrdf-gcn capture", "version": 1, "patch_size": 1, "transfer": "linear",
+                "light_intensity": [1, 1, 1], "photos": photos});
+            fs::write(folder.join("capture.json"), capture.to_string()).unwrap();
+            let photo = Capture::open(&folder).unwrap();
+            // Numbers are no colours and state nothing.
+            let is_color = ["diffuse", "specular"].contains(&name);
+            let warnings = usize::from(is_color && space == ColorSpace::AcesCg);
+            assert_eq!(photo.warnings().len(), warnings, "{name} {:?}", photo.warnings());
+            if is_color {
+                for (got, expected) in photo.photos()[0].image.data().iter().zip(image.data()) {
+                    assert!((got - expected).abs() < 2e-3, "{name} in {}: {got} instead of {expected}", space.name());
+                }
+            }
+        }
+    }
 }

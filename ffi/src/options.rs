@@ -349,6 +349,9 @@ pub struct svbrdf_gcn_capture_options {
     /// A `svbrdf_gcn_color_space`: that of linear photos and of their `light_intensity`; both are converted to Rec. 709. By default what the capture
     /// on disk states, Rec. 709 for pixels from the host.
     pub color_space: i32,
+    /// 1: photos on disk are read as if their files held no colour profiles and said nothing else of their colours; 0, the default: what they say
+    /// counts where nothing states a `color_space`, with a warning (docs/color.md).
+    pub ignore_profiles: i32,
 }
 
 impl SizeFirst for svbrdf_gcn_capture_options {
@@ -363,6 +366,7 @@ impl SizeFirst for svbrdf_gcn_capture_options {
             transfer: SVBRDF_GCN_TRANSFER_FROM_CAPTURE as i32,
             white_level: 0.0,
             color_space: SVBRDF_GCN_COLOR_SPACE_FROM_CAPTURE as i32,
+            ignore_profiles: 0,
         }
     }
 }
@@ -394,6 +398,7 @@ impl svbrdf_gcn_capture_options {
                 (SVBRDF_GCN_COLOR_SPACE_ACESCG as i32, Some(ColorSpace::AcesCg)),
             ],
         )?;
+        options.ignore_profiles = choose("ignore_profiles", self.ignore_profiles, &[(0, false), (1, true)])?;
         options.transfer = choose(
             "transfer",
             self.transfer,

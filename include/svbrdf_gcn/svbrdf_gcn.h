@@ -513,6 +513,11 @@ typedef struct svbrdf_gcn_capture_options {
    * on disk states, Rec. 709 for pixels from the host.
    */
   int32_t color_space;
+  /**
+   * 1: photos on disk are read as if their files held no colour profiles and said nothing else of their colours; 0, the default: what they say
+   * counts where nothing states a `color_space`, with a warning (docs/color.md).
+   */
+  int32_t ignore_profiles;
 } svbrdf_gcn_capture_options;
 
 /**

@@ -252,6 +252,8 @@ struct CaptureOptions {
     std::optional<float> white_level;
     /// Primaries of linear photos and of their light; what a capture on disk states, or Rec. 709, if not given.
     ColorSpace color_space = ColorSpace::FromCapture;
+    /// Read photos on disk as if their files held no colour profiles.
+    bool ignore_profiles = false;
 };
 
 /// Options of a fit, under the names of the command line.
@@ -315,6 +317,7 @@ inline svbrdf_gcn_capture_options capture_options(const CaptureOptions &options)
     made.transfer = static_cast<std::int32_t>(options.transfer);
     made.white_level = options.white_level.value_or(0.0f);
     made.color_space = static_cast<std::int32_t>(options.color_space);
+    made.ignore_profiles = options.ignore_profiles ? 1 : 0;
     return made;
 }
 

@@ -58,7 +58,8 @@ def prepare(settings):
         "size": settings.size or None,
         "views": parse_views(settings.views),
         "transfer": None if settings.transfer == "AUTO" else settings.transfer,
-        "color_space": settings.color_space,
+        "color_space": None if settings.color_space == "AUTO" else settings.color_space,
+        "ignore_profiles": settings.ignore_profiles,
     }
     if settings.source == "FOLDER":
         folder = absolute(settings.folder)

@@ -68,7 +68,10 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
     color_space: EnumProperty(
         name="Color Space",
         description="Primaries of linear photos",
-        items=[("rec709", "Rec.709", ""), ("acescg", "ACEScg", "")],
+        items=[("AUTO", "As Stated", "What the capture or the image says, else Rec.709"), ("rec709", "Rec.709", ""), ("acescg", "ACEScg", "")],
+    )
+    ignore_profiles: BoolProperty(
+        name="Ignore Profiles", description="Read photos of a folder as if their files held no colour profiles", default=False
     )
     preset: EnumProperty(
         name="Preset",

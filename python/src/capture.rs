@@ -19,6 +19,7 @@ pub struct Reading {
     pub views: Option<Vec<i128>>,
     pub transfer: Option<String>,
     pub color_space: Option<String>,
+    pub ignore_profiles: bool,
 }
 
 impl Reading {
@@ -28,6 +29,7 @@ impl Reading {
         options.views = self.views.as_deref().map(|views| counts("views", views)).transpose()?;
         options.transfer = self.transfer.as_deref().map(transfer).transpose()?;
         options.color_space = self.color_space.as_deref().map(color_space).transpose()?;
+        options.ignore_profiles = self.ignore_profiles;
         Ok(options)
     }
 
@@ -37,6 +39,7 @@ impl Reading {
             ("views", self.views.is_some()),
             ("transfer", self.transfer.is_some()),
             ("color_space", self.color_space.is_some()),
+            ("ignore_profiles", self.ignore_profiles),
         ]
         .into_iter()
         .find_map(|(name, given)| given.then_some(name))
@@ -211,6 +214,8 @@ pub fn color_space(name: &str) -> PyResult<ColorSpace> {
 ///     The photos to take, counted from 0.
 /// color_space : {"rec709", "acescg"}, optional
 ///     Colour space of linear photos and of `light_intensity`, Rec. 709 if not given. Everything is computed in Rec. 709.
+/// ignore_profiles : bool
+///     Read image files as if they held no colour profiles. Without it their colours are converted where `color_space` is not given.
 ///
 /// Raises
 /// ------
@@ -237,7 +242,7 @@ pub struct PyCapture(pub Arc<Capture>);
 impl PyCapture {
     #[new]
     #[pyo3(signature = (photos, *, camera_positions, patch_size, light_intensity, transfer, light_positions = None,
-        white_level = None, size = None, views = None, color_space = None))]
+        white_level = None, size = None, views = None, color_space = None, ignore_profiles = false))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn new<'py>(
         photos: Photos<'py>,
@@ -250,6 +255,7 @@ impl PyCapture {
         size: Option<i128>,
         views: Option<Vec<i128>>,
         color_space: Option<String>,
+        ignore_profiles: bool,
     ) -> PyResult<Self> {
         let setup = Setup {
             camera_positions: Some(camera_positions),
@@ -258,7 +264,8 @@ impl PyCapture {
             light_intensity: Some(light_intensity),
             white_level,
         };
-        from_photos(&photos.0, &setup, &Reading { size, views, transfer: Some(transfer), color_space }).map(Self)
+        let reading = Reading { size, views, transfer: Some(transfer), color_space, ignore_profiles };
+        from_photos(&photos.0, &setup, &reading).map(Self)
     }
 
     /// Read a capture: its folder or its JSON file.
@@ -277,6 +284,8 @@ impl PyCapture {
     ///     Replaces what the capture states.
     /// color_space : {"rec709", "acescg"}, optional
     ///     Replaces what the capture states for linear photos.
+    /// ignore_profiles : bool
+    ///     Read photos as if their files held no colour profiles.
     ///
     /// Returns
     /// -------
@@ -293,7 +302,7 @@ impl PyCapture {
     /// <svbrdf_gcn.Capture: 2 photos of 64 x 64 pixels, patch 10 wide, transfer srgb>
     #[staticmethod]
     #[pyo3(signature = (path, *, size = None,
-        views = None, transfer = None, color_space = None))]
+        views = None, transfer = None, color_space = None, ignore_profiles = false))]
     fn open(
         py: Python<'_>,
         path: PathBuf,
@@ -301,8 +310,9 @@ impl PyCapture {
         views: Option<Vec<i128>>,
         transfer: Option<String>,
         color_space: Option<String>,
+        ignore_profiles: bool,
     ) -> PyResult<Self> {
-        open(py, &path, &Reading { size, views, transfer, color_space }).map(Self)
+        open(py, &path, &Reading { size, views, transfer, color_space, ignore_profiles }).map(Self)
     }
 
     /// The capture with only some of its photos.

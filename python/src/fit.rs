@@ -187,7 +187,7 @@ impl PyModel {
 ///     `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
 /// camera_positions, light_positions, patch_size, light_intensity, white_level : optional
 ///     See ``Capture``.
-/// transfer, color_space, size, views : optional
+/// transfer, color_space, ignore_profiles, size, views : optional
 ///     See ``Capture`` and ``Capture.open``.
 /// preset : {"draft", "balanced", "high"}
 ///     How much time to spend.
@@ -238,7 +238,7 @@ impl PyModel {
 /// ((32, 32, 1), 'network')
 #[pyfunction]
 #[pyo3(name = "fit_material", signature = (capture_or_photos, *, camera_positions = None, light_positions = None,
-    patch_size = None, light_intensity = None, transfer = None, color_space = None, size = None, views = None, white_level = None,
+    patch_size = None, light_intensity = None, transfer = None, color_space = None, ignore_profiles = false, size = None, views = None, white_level = None,
     preset = "balanced", method = "auto", weights = None, latent_steps = None, adapter_steps = None, direct_steps = None, finish_steps = None,
     max_memory = None, seed = 0, threads = None, early_stop = None, progress = None, cancel = None))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -251,6 +251,7 @@ pub fn py_fit_material<'py>(
     light_intensity: Option<ArrayLike<'py>>,
     transfer: Option<String>,
     color_space: Option<String>,
+    ignore_profiles: bool,
     size: Option<i128>,
     views: Option<Vec<i128>>,
     white_level: Option<f32>,
@@ -282,7 +283,8 @@ pub fn py_fit_material<'py>(
         options.cancel = token.get().0.clone();
     }
     let setup = Setup { camera_positions, light_positions, patch_size, light_intensity, white_level };
-    let capture = capture(py, &capture_or_photos, &setup, &Reading { size, views, transfer, color_space })?;
+    let reading = Reading { size, views, transfer, color_space, ignore_profiles };
+    let capture = capture(py, &capture_or_photos, &setup, &reading)?;
     let model = weights.map(|weights| model(py, &weights, &capture)).transpose()?;
 
     let mut reports = Reports { callback: progress, next: Instant::now(), raised: None };

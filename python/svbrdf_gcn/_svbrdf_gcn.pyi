@@ -81,6 +81,8 @@ class Capture:
         The photos to take, counted from 0.
     color_space : {"rec709", "acescg"}, optional
         Colour space of linear photos and of `light_intensity`, Rec. 709 if not given. Everything is computed in Rec. 709.
+    ignore_profiles : bool
+        Read image files as if they held no colour profiles. Without it their colours are converted where `color_space` is not given.
 
     Raises
     ------
@@ -102,7 +104,7 @@ class Capture:
     <svbrdf_gcn.Capture: 2 photos of 6 x 4 pixels, patch 10 wide, transfer srgb>
     """
     def __len__(self, /) -> int: ...
-    def __new__(cls, /, photos: ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, color_space: str | None = None) -> Capture: ...
+    def __new__(cls, /, photos: ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, color_space: str | None = None, ignore_profiles: bool = False) -> Capture: ...
     def __repr__(self, /) -> str: ...
     @property
     def camera_positions(self, /) -> NDArray[float64]:
@@ -130,7 +132,7 @@ class Capture:
         Names of the photos: their files', or ``photos[0]`` and so on.
         """
     @staticmethod
-    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None) -> Capture:
+    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = False) -> Capture:
         """
         Read a capture: its folder or its JSON file.
 
@@ -148,6 +150,8 @@ class Capture:
             Replaces what the capture states.
         color_space : {"rec709", "acescg"}, optional
             Replaces what the capture states for linear photos.
+        ignore_profiles : bool
+            Read photos as if their files held no colour profiles.
 
         Returns
         -------
@@ -657,7 +661,7 @@ def command_line(arguments: SupportsGetItem[int, str]) -> int:
     It takes over SIGINT: meant for a process of its own.
     """
 
-def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = "balanced", method: str = "auto", weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, finish_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = 0, threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
+def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = False, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = "balanced", method: str = "auto", weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, finish_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = 0, threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
     """
     Recover the material that photos show.
 
@@ -670,7 +674,7 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
         `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
     camera_positions, light_positions, patch_size, light_intensity, white_level : optional
         See ``Capture``.
-    transfer, color_space, size, views : optional
+    transfer, color_space, ignore_profiles, size, views : optional
         See ``Capture`` and ``Capture.open``.
     preset : {"draft", "balanced", "high"}
         How much time to spend.

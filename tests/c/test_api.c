@@ -220,6 +220,9 @@ static void bad_values(const svbrdf_gcn_capture *capture, const svbrdf_gcn_mater
     capture_options.color_space = 2;
     FAILS(svbrdf_gcn_capture_open(path, &capture_options, &made_capture), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "color_space");
     OK(svbrdf_gcn_capture_options_init(&capture_options, sizeof capture_options));
+    capture_options.ignore_profiles = 2;
+    FAILS(svbrdf_gcn_capture_open(path, &capture_options, &made_capture), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "ignore_profiles");
+    OK(svbrdf_gcn_capture_options_init(&capture_options, sizeof capture_options));
     capture_options.size = 0;
     FAILS(svbrdf_gcn_capture_open(path, &capture_options, &made_capture), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "size");
     OK(svbrdf_gcn_capture_options_init(&capture_options, sizeof capture_options));

@@ -4,10 +4,12 @@ import gc
 import json
 import os
 import signal
+import struct
 import subprocess
 import sys
 import threading
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -649,6 +651,30 @@ def test_photos_and_light_in_acescg():
         np.testing.assert_allclose(got, given @ np.transpose(ACESCG_TO_REC709), atol=2e-5)
     expected = np.array(ACESCG_TO_REC709) @ [1500.0, 1000.0, 500.0]
     np.testing.assert_allclose(capture.light_intensity[0], expected, rtol=1e-4)
+
+
+def png_in_display_p3(path):
+    """A PNG of one pixel, (0, 250, 0), that states Display P3 in a cICP chunk."""
+
+    def chunk(name, data):
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    header = struct.pack(">IIBBBBB", 1, 1, 8, 2, 0, 0, 0)
+    pixels = zlib.compress(bytes([0, 0, 250, 0]))
+    chunks = [(b"IHDR", header), (b"cICP", bytes([12, 13, 0, 1])), (b"IDAT", pixels), (b"IEND", b"")]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*entry) for entry in chunks))
+    return path
+
+
+def test_colors_that_files_state_count_unless_ignored(tmp_path):
+    photos = [png_in_display_p3(tmp_path / f"{i}.png") for i in range(2)]
+    converted = capture_of(photos, transfer="srgb")
+    assert converted.photos[0][0, 0, 0] < -0.1, "a green that Rec. 709 has not"
+    assert "Rec. 709" in converted.warnings[0]
+    ignored = capture_of(photos, transfer="srgb", ignore_profiles=True)
+    assert ignored.photos[0][0, 0, 0] == 0
+    assert ignored.warnings == []
+    assert capture_of(photos, transfer="srgb", color_space="rec709").photos[0][0, 0, 0] == 0
 
 
 def test_albedos_are_saved_in_acescg(fitted, tmp_path):

@@ -110,6 +110,8 @@ impl Reader<'_> {
                 0xdd => {
                     self.restart_interval = segment.get(..2).map_or(0, |b| usize::from(b[0]) << 8 | usize::from(b[1]))
                 }
+                // More bits than 8, which the decoder refuses.
+                0xc0..=0xc2 if segment.first() != Some(&8) => return Ok(Checked::default()),
                 0xc0..=0xc2 => match Frame::new(segment, marker == 0xc2) {
                     Some(new) if frame.is_none() => frame = Some(new),
                     _ => return Err("JPEG frame header damaged".to_owned()),

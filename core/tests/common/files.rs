@@ -127,7 +127,7 @@ pub struct Tiff {
     /// 8, 16, 32 or 64.
     pub bits: usize,
     pub float: bool,
-    /// 1 none, 5 LZW, 8 deflate, 32773 PackBits.
+    /// 1 none, 5 LZW, 7 JPEG, 8 deflate, 32773 PackBits.
     pub compression: u64,
     /// 1 none, 2 differences, 3 that of floats; for LZW and deflate.
     pub predictor: u64,
@@ -244,6 +244,15 @@ impl Tiff {
                 encoder.finish().unwrap()
             }
             32773 => packed_bits(data),
+            7 => {
+                let (mut out, width) = (Vec::new(), if self.tile > 0 { self.tile } else { self.width });
+                let rows = data.len() / width / self.colors;
+                let color =
+                    if self.colors == 3 { image::ExtendedColorType::Rgb8 } else { image::ExtendedColorType::L8 };
+                let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 95);
+                encoder.encode(data, width as u32, rows as u32, color).unwrap();
+                out
+            }
             other => panic!("no encoder for compression {other}"),
         }
     }
@@ -458,11 +467,11 @@ pub fn table_profile() -> Vec<u8> {
     table.extend([0, 2, 0, 2]);
     let linear = [0u16, 65535].map(u16::to_be_bytes).concat().repeat(3);
     table.extend(&linear);
-    // IEC 61966-2-1 relative to D50; 1 is stored as 32768.
-    let colorants = [[0.4361, 0.2225, 0.0139], [0.3851, 0.7169, 0.0971], [0.1431, 0.0606, 0.7141]];
+    // X, Y and Z of the primaries: IEC 61966-2-1 relative to D50; 1 is stored as 32768.
+    let axes = [[0.4361, 0.3851, 0.1431], [0.2225, 0.7169, 0.0606], [0.0139, 0.0971, 0.7141]];
     for corner in 0..8 {
-        for axis in 0..3 {
-            let sum: f64 = (0..3).map(|c| f64::from(corner >> (2 - c) & 1) * colorants[c][axis]).sum();
+        for axis in axes {
+            let sum: f64 = (0..3).map(|c| f64::from(corner >> (2 - c) & 1) * axis[c]).sum();
             table.extend(((sum * 32768.0).round() as u16).to_be_bytes());
         }
     }
