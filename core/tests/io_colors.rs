@@ -199,6 +199,36 @@ fn profiles_of_other_kinds() {
     }
 }
 
+/// Bytes of profiles changed at random: a photo or an error, never a panic, and values that are finite.
+#[test]
+fn damaged_profiles() {
+    let mut state = 7u32;
+    let mut random = move |below: usize| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as usize % below
+    };
+    let profiles = [profile(&ColorProfile::new_display_p3()), files::table_profile()];
+    let mut converted = 0;
+    for _ in 0..800 {
+        let mut damaged = profiles[random(2)].clone();
+        for _ in 0..1 + random(4) {
+            let at = random(damaged.len());
+            damaged[at] = random(256) as u8;
+        }
+        if random(8) == 0 {
+            damaged.truncate(random(damaged.len()));
+        }
+        match open_with(&png(&[files::iccp(&damaged)]), "srgb", "", &CaptureOptions::new()) {
+            Ok(capture) => {
+                assert!(capture.photos()[0].image.data().iter().all(|value| value.is_finite()));
+                converted += usize::from(capture.warnings().iter().any(|warning| warning.contains("converted")));
+            }
+            Err(error) => assert!(error.to_string().contains("photo"), "{error}"),
+        }
+    }
+    assert!(converted > 100, "{converted}");
+}
+
 #[test]
 fn adobe_rgb_in_exif_data() {
     // A directory with the EXIF one, which has "uncalibrated" and the index of interoperability R03.

@@ -503,6 +503,13 @@ fn lying_and_broken_headers() {
     let exr = files::exr([0, 0, 1, 1], [0, 0, 30_000, 30_000], &[("Y", &[1.0])]);
     let error = decode_image("x.exr", &exr, Transfer::Linear).unwrap_err().to_string();
     assert!(error.contains("30000"), "{error}");
+    // A bit of a PNG's pixels or of their checksum.
+    let png = files::png(4, 4, 2, 8, &[9; 48]);
+    for at in 41..png.len() - 12 {
+        let mut damaged = png.clone();
+        damaged[at] ^= 1 << (at % 8);
+        assert!(decode_image("x.png", &damaged, Transfer::Linear).is_err(), "{at}");
+    }
     let whole = [
         files::png(4, 4, 2, 8, &[9; 48]),
         files::tiff(4, 4, 1, 32, 3, 1, &[0; 64]),
@@ -520,14 +527,16 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
     #[test]
-    fn damaged_files_are_errors_or_images(which in 0usize..6, changes in vec((any::<Index>(), any::<u8>()), 1..6), cut in any::<Index>()) {
+    fn damaged_files_are_errors_or_images(which in 0usize..8, changes in vec((any::<Index>(), any::<u8>()), 1..6), cut in any::<Index>()) {
         let mut file = match which {
             0 => files::png(4, 4, 6, 16, &[700; 64]),
             1 => files::tiff(4, 4, 3, 16, 1, 5, &[7; 96]),
             2 => files::exr([1, 0, 4, 3], [0, 0, 4, 4], &[("G", &[0.5; 12]), ("R", &[0.25; 12])]),
             3 => files::Tiff { width: 5, height: 4, compression: 5, predictor: 2, extra: 1, ..files::Tiff::RGB16 }.file(),
             4 => files::Tiff { width: 5, height: 4, compression: 8, tile: 16, planar: true, big_tiff: true, ..files::Tiff::RGB16 }.file(),
-            _ => jpeg_file(),
+            5 => jpeg_file(),
+            6 => JPEGS[0].1.to_vec(),
+            _ => JPEGS[1].1.to_vec(),
         };
         for (at, byte) in changes {
             let at = at.index(file.len());

@@ -563,6 +563,7 @@ fn develop(
     let mut image = Image::new(width, height, 3, values)?;
     if let Some(to_rec709) = &decoding.to_rec709 {
         apply_to_image(to_rec709, &mut image);
+        check_finite(name, image.data(), 3 * width)?;
         for bits in &mut saturated {
             *bits = if *bits == 0 { 0 } else { 7 };
         }

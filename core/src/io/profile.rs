@@ -231,9 +231,10 @@ fn understood_icc(bytes: &[u8], channels: usize) -> Result<Understood, String> {
     let profile = ColorProfile::new_from_slice(bytes).map_err(|e| format!("a colour profile that is broken ({e})"))?;
     let name = format!("the colour profile {:?}", description(&profile));
     let unused = |why: &str| format!("{name} cannot be used ({why})");
-    let linear = |curve: &Option<ToneReprCurve>| match curve {
-        Some(curve) => curve_of(curve).ok_or_else(|| unused("its curves are broken")),
-        None => Err(unused("it has no curves")),
+    let linear = |curve: &Option<ToneReprCurve>| {
+        let curve = curve.as_ref().ok_or_else(|| unused("it has no curves"))?;
+        let curve = curve_of(curve).filter(|curve| (0..=256).all(|i| (0.0..=2.0).contains(&curve(i as f32 / 256.0))));
+        curve.ok_or_else(|| unused("its curves are broken"))
     };
     // White to white, where the profile has a table for that; else the one that every profile of tables has.
     let intent = match (&profile.lut_a_to_b_colorimetric, &profile.lut_a_to_b_perceptual) {

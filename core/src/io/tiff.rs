@@ -511,7 +511,7 @@ impl<'a> Page<'a> {
             Compression::None => packed[..wanted.min(packed.len())].to_vec(),
             Compression::Lzw => unpack_lzw(&packed, wanted).map_err(|reason| broken(self.path, reason))?,
             Compression::Deflate => {
-                let mut data = zeroed(0)?;
+                let mut data = Vec::new();
                 let mut reader = flate2::read::ZlibDecoder::new(&*packed).take(wanted as u64);
                 reader.read_to_end(&mut data).map_err(|reason| broken(self.path, reason))?;
                 data

@@ -75,10 +75,17 @@ fn png_from_openimageio() {
 fn tiff_from_openimageio() {
     let dir = TempDir::new().unwrap();
     for (format, step) in [("uint8", 0.5 / 255.0), ("uint16", 0.5 / 65535.0), ("half", 1.0 / 4096.0), ("float", 0.0)] {
-        for channels in ["Y", "R,G,B", "R,G,B,A"] {
-            for (compression, tile, separate) in
-                [("none", 0, false), ("zip", 0, false), ("lzw", 16, false), ("zip", 0, true), ("packbits", 0, false)]
-            {
+        for channels in ["Y", "Y,extra", "R,G,B", "R,G,B,A", "R,G,B,extra", "R,G,B,A,extra"] {
+            for (compression, tile, separate) in [
+                ("none", 0, false),
+                ("none", 16, true),
+                ("zip", 0, false),
+                ("zip", 0, true),
+                ("lzw", 0, false),
+                ("lzw", 16, false),
+                ("lzw", 16, true),
+                ("packbits", 0, false),
+            ] {
                 let case = format!("{format} {channels} {compression} tile {tile} separate {separate}");
                 let (text, path) = path_in(&dir, "a.tif");
                 let source = picture(channels);
