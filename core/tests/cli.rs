@@ -7,6 +7,10 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
+#[allow(dead_code, reason = "shared by several tests")]
+#[path = "common/files.rs"]
+mod files;
+
 fn samples(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples").join(path)
 }
@@ -251,4 +255,38 @@ fn exports_and_colour_spaces() {
     let description: Value = serde_json::from_slice(&std::fs::read(out.join("material.json")).unwrap()).unwrap();
     assert_eq!(description["maps"]["diffuse"]["color_space"], "acescg");
     assert!(description["maps"]["normal"].get("color_space").is_none());
+}
+
+#[test]
+fn colour_profiles_count_unless_they_are_ignored() {
+    let folder = tempfile::tempdir().unwrap();
+    // Display P3.
+    let codes: Vec<u16> = (0..8 * 8).flat_map(|i| [90, 120 + i, 60]).collect();
+    let photo = files::png_with(8, 8, 2, 8, &codes, &[(b"cICP", vec![12, 13, 0, 1])]);
+    std::fs::write(folder.path().join("photo.png"), photo).unwrap();
+    let capture = r#"{"format": "svbrdf-gcn capture", "version": 1, "patch_size": 10, "transfer": "srgb", "light_intensity": [700, 700, 700],
+        "photos": [{"file": "photo.png", "camera": [0, 0, 15]}]}"#;
+    std::fs::write(folder.path().join("capture.json"), capture).unwrap();
+    let fit = |more: &[&str]| {
+        let out = folder.path().join("out");
+        let arguments = [
+            "fit",
+            text(folder.path()),
+            "-o",
+            text(&out),
+            "--preset",
+            "draft",
+            "--method",
+            "direct",
+            "--direct-steps",
+            "1",
+            "--json",
+        ];
+        let report = json(&run(&[&arguments[..], more].concat()));
+        report["report"]["warnings"].to_string()
+    };
+    let converted = fit(&[]);
+    assert!(converted.contains("photo.png") && converted.contains("cICP 12, 13"), "{converted}");
+    let ignored = fit(&["--ignore-profiles"]);
+    assert!(!ignored.contains("cICP"), "{ignored}");
 }

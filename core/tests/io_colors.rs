@@ -106,6 +106,10 @@ fn a_profile_counts_where_the_transfer_function_is_srgb() {
         assert_warns(&stated, &["Display P3", "not used", "rec709"]);
         let asked = open_with(&file, "srgb", "", &CaptureOptions::new().color_space(ColorSpace::Rec709)).unwrap();
         assert_eq!(asked, stated);
+        // ACEScg says nothing of photos in sRGB.
+        let acescg = open_with(&file, "srgb", "", &CaptureOptions::new().color_space(ColorSpace::AcesCg)).unwrap();
+        assert_eq!(acescg.photos(), capture.photos());
+        assert!(acescg.warnings().iter().any(|warning| warning.contains("acescg is for linear photos")));
     }
     let segment = [b"ICC_PROFILE\0\x01\x01".as_slice(), &p3].concat();
     let restart = include_bytes!("fixtures/restart.jpg");

@@ -129,7 +129,7 @@ impl CaptureOptions {
 
     /// Replaces the colour space that the capture states for linear photos and their light intensity; [`ColorSpace::Rec709`] where it states none.
     ///
-    /// Both are converted to linear Rec. 709. Photos in another transfer function are Rec. 709 whatever is said here, with a warning.
+    /// Both are converted to linear Rec. 709. For photos in another transfer function [`ColorSpace::AcesCg`] says nothing, with a warning.
     /// A file that says something else of its colours is not believed, with a warning.
     pub fn color_space(mut self, color_space: ColorSpace) -> Self {
         self.color_space = Some(color_space);
@@ -186,8 +186,10 @@ impl Encoding {
             ));
         }
         if let (Some(ColorSpace::AcesCg), false) = (stated.color_space, stated.transfer == Transfer::Linear) {
-            stated.color_space = Some(ColorSpace::Rec709);
-            notes.push(format!("color_space acescg: photos in {name} are taken as rec709"));
+            stated.color_space = None;
+            notes.push(format!(
+                "color_space acescg is for linear photos: those in {name} are rec709, or what their files say"
+            ));
         }
         (stated, notes)
     }
