@@ -5,7 +5,7 @@ use std::ffi::{CString, c_char};
 use svbrdf_gcn::{Capture, CaptureOptions, Photo, PhotoPixels, Transfer};
 
 use crate::guard::{borrow, borrow_mut, guard, guard_value, path};
-use crate::handle::{destroy, expect_out, give, string_at};
+use crate::handle::{Handle, destroy, expect_out, give, string_at};
 use crate::image::{HostImage, svbrdf_gcn_image_view, view_of};
 use crate::options::{read, read_or_defaults, svbrdf_gcn_capture_options, svbrdf_gcn_shot, write};
 use crate::status::{Failure, Result, c_string, svbrdf_gcn_status};
@@ -17,6 +17,8 @@ pub struct svbrdf_gcn_capture {
     warnings: Vec<CString>,
     source: Source,
 }
+
+impl Handle for svbrdf_gcn_capture {}
 
 /// Where photos come from.
 enum Source {

@@ -4,6 +4,7 @@ use std::any::Any;
 use std::ffi::{CStr, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use crate::handle::Handle;
 use crate::status::svbrdf_gcn_status::*;
 use crate::status::{Failure, Result, set_last_error, svbrdf_gcn_status};
 
@@ -37,20 +38,20 @@ fn panic_message(panic: &(dyn Any + Send)) -> &str {
     text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("panic")
 }
 
-/// The value behind a pointer from C.
+/// The value behind a handle from C.
 ///
 /// # Safety
 /// `pointer` is NULL or points to a `T` that lives and stays as it is for `'a`.
-pub(crate) unsafe fn borrow<'a, T>(name: &str, pointer: *const T) -> Result<&'a T> {
+pub(crate) unsafe fn borrow<'a, T: Handle>(name: &str, pointer: *const T) -> Result<&'a T> {
     // SAFETY: the caller's word.
     unsafe { pointer.as_ref() }.ok_or_else(|| Failure::null(name))
 }
 
-/// The value behind a pointer from C, to be changed.
+/// The value behind a handle from C, to be changed.
 ///
 /// # Safety
 /// As [`borrow`], and nobody else uses the value during `'a`.
-pub(crate) unsafe fn borrow_mut<'a, T>(name: &str, pointer: *mut T) -> Result<&'a mut T> {
+pub(crate) unsafe fn borrow_mut<'a, T: Handle>(name: &str, pointer: *mut T) -> Result<&'a mut T> {
     // SAFETY: the caller's word.
     unsafe { pointer.as_mut() }.ok_or_else(|| Failure::null(name))
 }

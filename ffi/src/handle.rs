@@ -6,8 +6,14 @@ use std::ptr;
 use crate::guard::guard;
 use crate::status::{Failure, Result};
 
+/// A value that the library made and C only points to: the one kind of value behind a pointer from C that references are made of.
+///
+/// Structs that C allocates are [`SizeFirst`](crate::options::SizeFirst) and no handles: one may be shorter than ours, and a reference to more
+/// memory than there is would be undefined behaviour. They are copied.
+pub(crate) trait Handle {}
+
 /// Checks the place for a new handle before anything is computed.
-pub(crate) fn expect_out<T>(out: *mut *mut T) -> Result<()> {
+pub(crate) fn expect_out<T: Handle>(out: *mut *mut T) -> Result<()> {
     if out.is_null() { Err(Failure::null("out")) } else { Ok(()) }
 }
 
@@ -15,7 +21,7 @@ pub(crate) fn expect_out<T>(out: *mut *mut T) -> Result<()> {
 ///
 /// # Safety
 /// `out` is not NULL and may be written.
-pub(crate) unsafe fn give<T>(out: *mut *mut T, value: T) {
+pub(crate) unsafe fn give<T: Handle>(out: *mut *mut T, value: T) {
     // SAFETY: the caller's word.
     unsafe { out.write(Box::into_raw(Box::new(value))) }
 }
@@ -24,7 +30,7 @@ pub(crate) unsafe fn give<T>(out: *mut *mut T, value: T) {
 ///
 /// # Safety
 /// `handle` is NULL or came from [`give`] and is not used any more.
-pub(crate) unsafe fn destroy<T>(handle: *mut T) {
+pub(crate) unsafe fn destroy<T: Handle>(handle: *mut T) {
     if !handle.is_null() {
         guard(|| {
             // SAFETY: made by `Box::into_raw` in `give`, and given back once.

@@ -6,7 +6,6 @@ use half::f16;
 use svbrdf_gcn::Image;
 use svbrdf_gcn::io::{MAX_DECODED_BYTES, Samples};
 
-use crate::guard::borrow_mut;
 use crate::options::{SizeFirst, choose, init, read, write};
 use crate::status::svbrdf_gcn_status::*;
 use crate::status::{Failure, Result, svbrdf_gcn_status};
@@ -339,11 +338,11 @@ impl HostBuffer {
     /// `buffer` is NULL or points to a struct whose first field is its size.
     pub unsafe fn new(
         name: &str,
-        buffer: *mut svbrdf_gcn_image_buffer,
+        buffer: *const svbrdf_gcn_image_buffer,
         (width, height, channels): (usize, usize, usize),
     ) -> Result<Self> {
         // SAFETY: the caller's word.
-        let buffer = unsafe { borrow_mut(name, buffer).and_then(|buffer| read(name, buffer)) }?;
+        let buffer = unsafe { read(name, buffer) }?;
         let layout = Layout::new(
             name,
             &svbrdf_gcn_image_view {
@@ -401,6 +400,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::options::{
+        read_or_defaults, svbrdf_gcn_capture_options, svbrdf_gcn_export_options, svbrdf_gcn_options,
+        svbrdf_gcn_save_options, svbrdf_gcn_shot,
+    };
 
     fn view<T>(
         data: &[T],
@@ -471,6 +474,65 @@ mod tests {
         assert_eq!(status(svbrdf_gcn_image_view { pixel_type: 9, ..good }), SVBRDF_GCN_ERR_FORMAT);
         assert_eq!(status(svbrdf_gcn_image_view { data: std::ptr::null(), ..good }), SVBRDF_GCN_ERR_NULL);
         assert_eq!(status(svbrdf_gcn_image_view { struct_size: 12, ..good }), SVBRDF_GCN_ERR_STRUCT_SIZE);
+    }
+
+    /// Structs with no more memory than their first field, which says that there is no more: nothing else of them is read, or written.
+    #[test]
+    fn short_structs_are_refused_by_their_size_alone() {
+        fn refused<T: SizeFirst, U>(call: impl Fn(*mut T) -> Result<U>) {
+            for size in [0, size_of::<usize>(), T::FIRST_SIZE - 1] {
+                // Exactly as many bytes as there are said to be, but for the size itself; and at odd addresses too.
+                let mut bytes = vec![0xa5u8; size.max(size_of::<usize>()) + 1];
+                for shift in [0, 1] {
+                    let place = &mut bytes[shift..];
+                    place[..size_of::<usize>()].copy_from_slice(&size.to_ne_bytes());
+                    let before = place.to_vec();
+                    let failure = call(place.as_mut_ptr().cast()).err().unwrap();
+                    assert_eq!(failure.status, SVBRDF_GCN_ERR_STRUCT_SIZE, "{}: {}", T::NAME, failure.message);
+                    assert!(failure.message.ends_with(&format!("got {size}")), "{}", failure.message);
+                    assert_eq!(place, before, "{}", T::NAME);
+                }
+            }
+        }
+        // SAFETY: the size comes first.
+        refused(|theirs| unsafe { HostBuffer::new("out", theirs, (1, 1, 3)) });
+        // SAFETY: likewise.
+        refused(|theirs| unsafe { HostImage::read("pixels", theirs) });
+        // SAFETY: likewise.
+        refused(|theirs| unsafe { view_of(&Image::new(1, 1, 1, vec![0.5])?, theirs) });
+        // SAFETY: likewise.
+        refused(|theirs| unsafe { read::<svbrdf_gcn_shot>("shot", theirs) });
+        // SAFETY: likewise.
+        refused(|theirs| unsafe { read::<svbrdf_gcn_capture_options>("options", theirs) });
+        // SAFETY: likewise.
+        refused(|theirs| unsafe { read_or_defaults::<svbrdf_gcn_options>("options", theirs) });
+        // SAFETY: likewise.
+        refused(|theirs| unsafe { read_or_defaults::<svbrdf_gcn_save_options>("options", theirs) });
+        // SAFETY: likewise.
+        refused(|theirs| unsafe { read::<svbrdf_gcn_export_options>("options", theirs) });
+    }
+
+    /// A whole struct at an odd address is a struct as any other.
+    #[test]
+    fn structs_need_not_be_aligned() {
+        let mut pixels = [0.0f32; 3];
+        let buffer = svbrdf_gcn_image_buffer {
+            data: pixels.as_mut_ptr().cast(),
+            pixel_type: SVBRDF_GCN_PIXEL_FLOAT as i32,
+            channels: 3,
+            width: 1,
+            height: 1,
+            ..svbrdf_gcn_image_buffer::defaults()
+        };
+        let mut bytes = vec![0u8; size_of::<svbrdf_gcn_image_buffer>() + 1];
+        let place: *mut svbrdf_gcn_image_buffer = bytes[1..].as_mut_ptr().cast();
+        // SAFETY: there is room for a buffer at `place`, and for three floats at its pixels.
+        unsafe {
+            place.write_unaligned(buffer);
+            let image = Image::new(1, 1, 3, vec![0.25, 0.5, 1.0]).unwrap();
+            HostBuffer::new("out", place, (1, 1, 3)).unwrap().write(&image);
+        }
+        assert_eq!(pixels, [0.25, 0.5, 1.0]);
     }
 
     /// A number that is small, at an end of its range, or anything.

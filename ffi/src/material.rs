@@ -11,7 +11,7 @@ use svbrdf_gcn::{Deviations, Fit, Image, Material, fit_material};
 
 use crate::capture::svbrdf_gcn_capture;
 use crate::guard::{borrow, guard, guard_value, path, text};
-use crate::handle::{destroy, expect_out, give, string_at};
+use crate::handle::{Handle, destroy, expect_out, give, string_at};
 use crate::image::{HostBuffer, svbrdf_gcn_image_buffer, svbrdf_gcn_image_view, view_of};
 use crate::model::svbrdf_gcn_model;
 use crate::options::{
@@ -31,6 +31,8 @@ pub struct svbrdf_gcn_material {
     report_json: CString,
     warnings: Vec<CString>,
 }
+
+impl Handle for svbrdf_gcn_material {}
 
 impl svbrdf_gcn_material {
     fn new(

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use svbrdf_gcn::nn::Model;
 
 use crate::guard::{borrow, guard, guard_value, text};
-use crate::handle::{destroy, expect_out, give};
+use crate::handle::{Handle, destroy, expect_out, give};
 use crate::status::{c_string, svbrdf_gcn_status};
 
 /// The networks of a weights file. Immutable: any number of fits may use it at once.
@@ -14,6 +14,8 @@ pub struct svbrdf_gcn_model {
     pub(crate) model: Arc<Model>,
     license: CString,
 }
+
+impl Handle for svbrdf_gcn_model {}
 
 /// Loads the networks of a weights file (UTF-8 path). NULL means the default network, which is part of the library and which a fit without
 /// a model takes. Destroy the model with `svbrdf_gcn_model_destroy`.

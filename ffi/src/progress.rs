@@ -7,7 +7,7 @@ use svbrdf_gcn::fit::progress::Stage;
 use svbrdf_gcn::{CancelToken, Progress};
 
 use crate::guard::{borrow, guard, guard_value};
-use crate::handle::{destroy, expect_out, give};
+use crate::handle::{Handle, destroy, expect_out, give};
 use crate::status::{Failure, Result, svbrdf_gcn_status};
 use svbrdf_gcn_stage::*;
 use svbrdf_gcn_step::*;
@@ -120,6 +120,8 @@ impl Callback {
 /// A flag that stops running fits. It may be used from any thread, at any time while it lives. Once cancelled it stays cancelled: a fit that
 /// is started with it returns `SVBRDF_GCN_CANCELLED` at once; take a new one for the next run.
 pub struct svbrdf_gcn_cancel_token(CancelToken);
+
+impl Handle for svbrdf_gcn_cancel_token {}
 
 /// The token behind a pointer from C, one that nobody cancels for NULL.
 ///
