@@ -100,6 +100,7 @@ fn info_of_a_photo_graph() {
     let info = json(&run(&["info", text(&weights), "--json"]));
     assert_eq!(info["kind"], "weights");
     assert_eq!(info["license"], "CC0-1.0");
+    assert_eq!(info["checksums"], "verified");
     assert_eq!(info["architecture"]["kind"], "photo graph");
     assert_eq!(info["architecture"]["window"], 16);
     assert_eq!(info["facts"]["data"], "random weights");
@@ -107,6 +108,8 @@ fn info_of_a_photo_graph() {
     assert!(info["parameters"].as_u64().unwrap() * 4 < std::fs::metadata(&weights).unwrap().len());
     let printed = run(&["info", text(&weights)]);
     assert!(String::from_utf8_lossy(&printed.stdout).contains("kind: photo graph"));
+    let old = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds/weights/two_networks.safetensors");
+    assert!(json(&run(&["info", text(&old), "--json"]))["checksums"].as_str().unwrap().starts_with("none"));
 }
 
 #[test]

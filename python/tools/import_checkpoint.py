@@ -11,16 +11,17 @@ Needs Python 3.9 and numpy. The weights keep the licence their authors gave them
 import argparse
 import json
 import pickle
-import struct
 import sys
 import zipfile
 
 import numpy as np
 
+import checksums
+
 # What the reader of weights files demands; see Model::load.
 CONVENTIONS = {
     "format": "svbrdf-gcn weights",
-    "version": "1",
+    "version": checksums.VERSION,
     "brdf": "paper",
     "roughness": "perceptual",
     "color_space": "photos gamma2.2, albedos gamma2.2 of [-1, 1]",
@@ -214,18 +215,14 @@ def write_weights(path, networks, license_text):
         raise CheckpointError("the networks of a file are for different numbers of photos, and all isotropic or all anisotropic")
     metadata = dict(CONVENTIONS, license=license_text, channels=CHANNELS[lobes.pop()])
     metadata["networks"] = json.dumps([config for config, _ in networks])
-    header, arrays, end = {"__metadata__": metadata}, [], 0
+    header, blobs, end = {}, {}, 0
     for config, tensors in networks:
         for name, values in tensors.items():
             start, end = end, end + values.nbytes
-            header[f"photos{config['photos']}.{name}"] = {"dtype": "F32", "shape": values.shape, "data_offsets": [start, end]}
-            arrays.append(values)
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 8)
-    with open(path, "wb") as file:
-        file.write(struct.pack("<Q", len(text)) + text)
-        for values in arrays:
-            file.write(values.tobytes())
+            name = f"photos{config['photos']}.{name}"
+            header[name] = {"dtype": "F32", "shape": values.shape, "data_offsets": [start, end]}
+            blobs[name] = values.tobytes()
+    checksums.write(path, header, checksums.added(metadata, blobs), b"".join(blobs.values()))
 
 
 def import_pair(encoder_path, decoder_path, gcn="diagonal", roughness_floor=-0.3):

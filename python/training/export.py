@@ -15,13 +15,14 @@ import torch
 
 import paper
 import store
+from store import checksums
 from camera import RATIO_MAX
 from model import ADAPTERS, HINT_RIDGE, LOG_SIGMA, NORM_EPS, SPREAD_EPS
 
 # The conventions of docs/weights.md.
 CONVENTIONS = {
     "format": "svbrdf-gcn weights",
-    "version": "1",
+    "version": checksums.VERSION,
     "brdf": "paper",
     "roughness": "perceptual",
     "color_space": "photos gamma2.2, albedos gamma2.2 of [-1, 1]",

@@ -15,6 +15,7 @@ import numpy as np
 
 TOOLS = pathlib.Path(__file__).resolve().parents[2] / "python" / "tools"
 sys.path.insert(0, str(TOOLS))
+import checksums  # noqa: E402
 import import_checkpoint as importer  # noqa: E402
 
 
@@ -236,6 +237,8 @@ class Writing(Case):
         self.assertIn("photos1.decoder.ups.0.0.weight", header)
         self.assertNotIn("photos1.encoder.ending.weight", header)
         self.assertEqual(max(entry["data_offsets"][1] for entry in header.values()), len(content) - 8 - length)
+        self.assertEqual(metadata["version"], "2")
+        self.assertTrue(checksums.verify(*checksums.read(out)[1:3]))
 
     def test_errors_are_one_line_and_name_the_file(self):
         missing = self.folder / "missing.ckpt"

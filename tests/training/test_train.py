@@ -61,6 +61,18 @@ def test_a_call_trains_logs_validates_and_exports(config_file, packed, tmp_path,
         network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
         assert json.loads(metadata["data"])["materials"] == 6 and metadata["roughness"] == "perceptual"
         assert json.loads(metadata["training"])["steps"] == 6
+        assert metadata["version"] == "2" and set(json.loads(metadata["checksums"])["tensors"]) == set(tensors)
+
+
+def test_a_flipped_bit_of_a_checkpoint_is_found(tmp_path):
+    path = tmp_path / "values.safetensors"
+    store.save(path, {"a": torch.arange(4.0), "b": torch.zeros(0)})
+    assert torch.equal(store.load(path)[0]["a"], torch.arange(4.0))
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(SystemExit, match="tensor a: .*damaged"):
+        store.load(path)
 
 
 def test_time_ends_a_call_with_a_checkpoint(config_file, tmp_path):

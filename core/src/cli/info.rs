@@ -48,7 +48,17 @@ fn weights(args: &InfoArgs) -> Result<Value> {
         .iter()
         .map(|network| json!({ "config": network.config(), "parameters": network.parameters() }))
         .collect();
-    Ok(json!({ "kind": "weights", "license": model.license(), "networks": networks }))
+    Ok(json!({
+        "kind": "weights",
+        "license": model.license(),
+        "checksums": checksums(&model),
+        "networks": networks,
+    }))
+}
+
+/// What is known of damage to the file.
+fn checksums(model: &Model) -> &'static str {
+    if model.has_checksums() { "verified" } else { "none, damage would go unnoticed" }
 }
 
 fn photo_graph(model: &Model, graph: &PhotoGraph) -> Result<Value> {
@@ -59,6 +69,7 @@ fn photo_graph(model: &Model, graph: &PhotoGraph) -> Result<Value> {
     let mut all = json!({
         "kind": "weights",
         "license": model.license(),
+        "checksums": checksums(model),
         "architecture": architecture,
         "parameters": graph.parameters(),
     });

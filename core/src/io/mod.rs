@@ -20,7 +20,9 @@ mod tiff;
 use std::path::Path;
 
 pub use encode::write_image;
-pub(crate) use encode::{png8, png16, write_image_in};
+#[cfg(feature = "cli")]
+pub(crate) use encode::write_image_in;
+pub(crate) use encode::{png8, png16};
 
 use crate::color::Transfer;
 use crate::error::Result;

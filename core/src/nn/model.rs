@@ -12,7 +12,7 @@ use super::network::{Decoder, Encoded, Encoder, Trace};
 use super::params::AdapterParams;
 use super::photo_graph::{PhotoGraph, PhotoGraphConfig};
 use super::tape::{Param, Planes, Pool};
-use super::weights::{self, Reader, broken};
+use super::weights::{self, CHECKSUMS, Reader, broken};
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
 use crate::io::save::temporary_beside;
@@ -21,10 +21,14 @@ use crate::maps::Lobe;
 /// The default network's weights file.
 const EMBEDDED: &[u8] = include_bytes!("../../weights/default.safetensors");
 
-/// What a weights file must say about itself: key, value.
-const CONVENTIONS: [(&str, &str); 5] = [
+/// The version of files with checksums. A version of its own, so that no single flipped bit makes of a file with them one without.
+const VERSION: &str = "2";
+/// The version of files without checksums, which are read and not written.
+const VERSION_UNCHECKED: &str = "1";
+
+/// What a weights file must say about itself beside its version: key, value.
+const CONVENTIONS: [(&str, &str); 4] = [
     ("format", "svbrdf-gcn weights"),
-    ("version", "1"),
     ("brdf", "paper"),
     ("roughness", "perceptual"),
     ("color_space", "photos gamma2.2, albedos gamma2.2 of [-1, 1]"),
@@ -52,6 +56,7 @@ pub struct Model {
     license: String,
     /// What else the file says of itself, such as `data` and `training`.
     facts: BTreeMap<String, String>,
+    has_checksums: bool,
 }
 
 #[derive(Debug)]
@@ -62,7 +67,7 @@ enum Content {
 }
 
 /// The entries of the metadata that [`Model`] itself reads and writes, beside [`CONVENTIONS`].
-const OWN_METADATA: [&str; 4] = ["channels", "license", "networks", "architecture"];
+const OWN_METADATA: [&str; 6] = ["version", "channels", "license", "networks", "architecture", CHECKSUMS];
 
 impl Model {
     /// Loads a weights file, all networks in it.
@@ -116,7 +121,12 @@ impl Model {
 
     /// A model of this photo graph.
     pub fn from_photo_graph(graph: PhotoGraph, license: impl Into<String>) -> Self {
-        Self { content: Content::PhotoGraph(Box::new(graph)), license: license.into(), facts: BTreeMap::new() }
+        Self {
+            content: Content::PhotoGraph(Box::new(graph)),
+            license: license.into(),
+            facts: BTreeMap::new(),
+            has_checksums: false,
+        }
     }
 
     /// The same model, of which the file says this too.
@@ -125,7 +135,7 @@ impl Model {
         Self { facts, ..self }
     }
 
-    /// Writes all networks, as `f32`.
+    /// Writes all networks, as `f32`, with checksums.
     ///
     /// # Errors
     /// [`Error::Io`] if the file cannot be written.
@@ -143,7 +153,7 @@ impl Model {
         }
         let metadata = self.metadata().map_err(|error| Error::io(path, error))?;
         let mut out = BufWriter::new(temporary_beside(path)?);
-        weights::write(&mut out, Some(metadata), &tensors).map_err(|error| Error::io(path, error))?;
+        weights::write(&mut out, metadata, &tensors).map_err(|error| Error::io(path, error))?;
         let file = out.into_inner().map_err(|error| Error::io(path, error.into_error()))?;
         file.persist(path).map_err(|error| Error::io(path, error.error))?;
         Ok(())
@@ -185,6 +195,12 @@ impl Model {
         &self.facts
     }
 
+    /// Whether the file that the model was read from has checksums, which have then been verified. Files of version 1 have none: damage to
+    /// their values may go unnoticed.
+    pub fn has_checksums(&self) -> bool {
+        self.has_checksums
+    }
+
     /// The licence the weights come under, as their file states it.
     pub fn license(&self) -> &str {
         &self.license
@@ -196,15 +212,24 @@ impl Model {
 
     fn from_networks(mut networks: Vec<Network>, license: String, facts: BTreeMap<String, String>) -> Self {
         networks.sort_by_key(|network| network.config.photos);
-        Self { content: Content::Networks(networks), license, facts }
+        Self { content: Content::Networks(networks), license, facts, has_checksums: false }
     }
 
     fn read(source: impl Read + Seek, photos: Option<usize>) -> Result<Self> {
         let mut reader = Reader::open(source)?;
+        let has_checksums = reader.has_checksums();
         for (key, expected) in CONVENTIONS {
             let got = reader.metadata(key)?;
             if got != expected {
                 return Err(broken(format!("metadata entry \"{key}\": expected \"{expected}\", got \"{got}\"")));
+            }
+        }
+        match reader.metadata("version")? {
+            VERSION if !has_checksums => return Err(broken(format!("metadata entry \"{CHECKSUMS}\" is missing"))),
+            VERSION | VERSION_UNCHECKED => {}
+            other => {
+                let expected = format!("expected \"{VERSION_UNCHECKED}\" or \"{VERSION}\"");
+                return Err(broken(format!("metadata entry \"version\": {expected}, got \"{other}\"")));
             }
         }
         let license = reader.metadata("license")?.to_owned();
@@ -212,7 +237,7 @@ impl Model {
         let facts = reader.other_metadata(&known);
         if reader.has_metadata("architecture") {
             let graph = Self::read_photo_graph(&mut reader)?;
-            return Ok(Self { facts, ..Self::from_photo_graph(graph, license) });
+            return Ok(Self { facts, has_checksums, ..Self::from_photo_graph(graph, license) });
         }
         let configs: Vec<NetworkConfig> = serde_json::from_str(reader.metadata("networks")?)
             .map_err(|error| broken(format!("metadata entry \"networks\": {error}")))?;
@@ -235,7 +260,7 @@ impl Model {
             let prefix = prefix(&config);
             Network::new(config, |name, shape| reader.read(&format!("{prefix}{name}"), shape))
         });
-        Ok(Self::from_networks(networks.collect::<Result<_>>()?, license, facts))
+        Ok(Self { has_checksums, ..Self::from_networks(networks.collect::<Result<_>>()?, license, facts) })
     }
 
     fn read_photo_graph(reader: &mut Reader<impl Read + Seek>) -> Result<PhotoGraph> {
@@ -248,6 +273,7 @@ impl Model {
     fn metadata(&self) -> std::result::Result<HashMap<String, String>, serde_json::Error> {
         let mut metadata: HashMap<String, String> = self.facts.clone().into_iter().collect();
         metadata.extend(CONVENTIONS.iter().map(|&(key, value)| (key.into(), value.into())));
+        metadata.insert("version".into(), VERSION.into());
         metadata.insert("license".into(), self.license.clone());
         let lobe = match &self.content {
             Content::Networks(networks) => {
@@ -561,7 +587,11 @@ pub(super) mod testing {
     /// The file with its header changed by `edit`.
     pub fn edited(file: &[u8], edit: impl FnOnce(&mut serde_json::Map<String, serde_json::Value>)) -> Vec<u8> {
         let len = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
-        let mut header = serde_json::from_slice(&file[8..8 + len]).unwrap();
+        let mut header: serde_json::Map<_, _> = serde_json::from_slice(&file[8..8 + len]).unwrap();
+        // As a file without checksums, so that what is edited is looked at itself.
+        let metadata = header["__metadata__"].as_object_mut().unwrap();
+        metadata.remove(super::CHECKSUMS);
+        metadata["version"] = super::VERSION_UNCHECKED.into();
         edit(&mut header);
         let header = serde_json::to_vec(&header).unwrap();
         [&(header.len() as u64).to_le_bytes()[..], &header, &file[8 + len..]].concat()
@@ -662,6 +692,7 @@ mod tests {
     #[test]
     fn half_precision() {
         let file = saved(&model());
+        let file = edited(&file, |_| {});
         let len = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
         let mut header: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(&file[8..8 + len]).unwrap();
         for (name, entry) in &mut header {
@@ -769,10 +800,44 @@ mod tests {
         reason(&edited(&file, |header| {
             header["__metadata__"]["networks"] = serde_json::to_string(&[huge]).unwrap().into();
         }));
-        let mut infinite = file.clone();
+        let mut infinite = edited(&file, |_| {});
         let end = infinite.len();
         infinite[end - 4..].copy_from_slice(&f32::INFINITY.to_le_bytes());
         assert!(reason(&infinite).contains("inf"));
+    }
+
+    /// Bits are flipped one at a time, in the header and in the tensors: every one is found.
+    #[test]
+    fn a_flipped_bit_is_found() {
+        let mut file = saved(&model());
+        let header = 8 + u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
+        let places = (0..header).step_by(3).chain((header..file.len()).step_by(61)).chain([file.len() - 1]);
+        for place in places {
+            let bit = 1 << (place * 7 % 8);
+            file[place] ^= bit;
+            reason(&file);
+            file[place] ^= bit;
+        }
+        assert!(Model::from_bytes(&file).unwrap().has_checksums());
+        // The lowest bit of a value, which no other check would see.
+        let last = file.len() - 4;
+        file[last] ^= 1;
+        let message = reason(&file);
+        assert!(message.contains("tensor photos") && message.contains("checksum"), "{message}");
+    }
+
+    #[test]
+    fn files_without_checksums_load_and_say_so() {
+        let file = saved(&model());
+        let old = Model::from_bytes(&edited(&file, |_| {})).unwrap();
+        assert!(!old.has_checksums());
+        assert_eq!(encode_and_decode(&old, 1, 4, 4), encode_and_decode(&model(), 1, 4, 4));
+        // Only files of before may lack them, and none may lack one.
+        let without = edited(&file, |header| header["__metadata__"]["version"] = super::VERSION.into());
+        assert!(reason(&without).contains("checksums"));
+        let empty = r#"{"metadata": "00000000", "tensors": {}}"#;
+        let wrong = edited(&file, |header| header["__metadata__"][super::CHECKSUMS] = empty.into());
+        assert!(reason(&wrong).contains("the file states 00000000"), "{}", reason(&wrong));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The network under training: its parameters, the optimiser's memory, and the files in which they outlast a run.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
 use std::io::{BufReader, BufWriter};
 use std::path::Path;
@@ -206,7 +206,7 @@ impl Trainer {
             let path = fresh.join(format!("{file}.safetensors"));
             let file = File::create(&path).map_err(|error| Error::io(&path, error))?;
             let tensors: Vec<_> = tensors.collect();
-            write_tensors(BufWriter::new(file), None, &tensors).map_err(|error| Error::io(&path, error))?;
+            write_tensors(BufWriter::new(file), HashMap::new(), &tensors).map_err(|error| Error::io(&path, error))?;
         }
         let path = fresh.join("state.json");
         let text = serde_json::to_string_pretty(&state).map_err(|error| Error::io(&path, error))?;
