@@ -17,6 +17,7 @@ pub mod nn;
 pub mod render;
 #[cfg(feature = "train")]
 pub mod train;
+pub mod unit;
 
 pub use capture::{Capture, CaptureOptions, Photo, PhotoPixels, Shot};
 pub use color::{ColorSpace, Transfer};
@@ -28,3 +29,4 @@ pub use fit::{Deviations, Fit, fit_material};
 pub use image::Image;
 pub use maps::{Lobe, Maps};
 pub use material::Material;
+pub use unit::Unit;

@@ -3,6 +3,7 @@
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
+use crate::unit::Unit;
 
 /// The maps of a material, each an (H, W, C) image, rows from the top.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,6 +20,10 @@ pub struct Material {
     pub tangent: Option<Image>,
     /// Width of the patch in the capture's length unit.
     pub patch_size: f64,
+    /// The unit of `patch_size`, where it is known.
+    pub unit: Option<Unit>,
+    /// What a user should know about how the maps were read.
+    pub warnings: Vec<String>,
 }
 
 impl Material {
@@ -37,7 +42,7 @@ impl Material {
         if self.tangent.is_some() { Lobe::Anisotropic } else { Lobe::Isotropic }
     }
 
-    /// A material from maps: albedos and roughness limited to [0, 1], normals and tangents of unit length and orthogonal.
+    /// A material from maps, of no known unit: albedos and roughness limited to [0, 1], normals and tangents of unit length and orthogonal.
     ///
     /// A normal of length 0 becomes (0, 0, 1), a tangent that is 0 or parallel to the normal one along x (or y).
     ///
@@ -76,7 +81,18 @@ impl Material {
                 Lobe::Anisotropic => Some(vectors(&tangent)?),
             },
             patch_size,
+            unit: None,
+            warnings: Vec::new(),
         })
+    }
+
+    /// The material with its maps limited as [`Material::from_maps`] does.
+    ///
+    /// # Errors
+    /// As [`Material::to_maps`].
+    pub fn limited(&self) -> Result<Self> {
+        let limited = Self::from_maps(&self.to_maps()?, self.patch_size)?;
+        Ok(Self { unit: self.unit.clone(), warnings: self.warnings.clone(), ..limited })
     }
 
     /// The maps as planes, albedos and roughness limited to [0, 1].

@@ -125,6 +125,8 @@ mod tests {
             normal: image(3, &[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]),
             tangent: None,
             patch_size: 1.0,
+            unit: None,
+            warnings: Vec::new(),
         };
         let mut other = truth.clone();
         other.diffuse_albedo.data_mut()[0] = 0.75;

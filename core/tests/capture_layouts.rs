@@ -9,7 +9,7 @@ use std::fs;
 use std::path::Path;
 
 use svbrdf_gcn::io::Samples;
-use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer};
+use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer, Unit};
 use tempfile::TempDir;
 
 const CAMERAS: &str = "1.0,0.5,16.0\n-2.0, 1.0, 15.5\n0 0 17\n";
@@ -96,7 +96,7 @@ fn own_json_and_its_folder() {
     let dir = json_folder(&text);
     let capture = Capture::open(dir.path()).unwrap();
     assert_eq!(capture, Capture::open(dir.path().join("capture.json")).unwrap());
-    assert_eq!(capture.unit(), Some("mm"));
+    assert_eq!(capture.unit().map(Unit::name), Some("mm"));
     assert_eq!(capture.transfer(), Transfer::Srgb);
     let [a, b] = capture.photos() else { panic!("two photos") };
     assert_eq!(a.shot, Shot { camera: [0.0, 0.0, 20.0], light: [0.0, 0.0, 20.0], light_intensity: [3.0, 2.0, 1.0] });

@@ -15,7 +15,7 @@ use svbrdf_gcn::io::material::{
     LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_deviations, read_report,
 };
 use svbrdf_gcn::io::read_image;
-use svbrdf_gcn::{Capture, ColorSpace, Deviations, Image, Lobe, Maps, Material, Transfer};
+use svbrdf_gcn::{Capture, ColorSpace, Deviations, Image, Lobe, Maps, Material, Transfer, Unit};
 use tempfile::TempDir;
 
 const SIZE: (usize, usize) = (5, 3);
@@ -181,8 +181,9 @@ fn albedos_in_acescg_come_back() {
 fn json_says_what_is_there() {
     let dir = TempDir::new().unwrap();
     let report = json!({"stages": [{"stage": "direct", "best_loss": 1.25}], "warnings": ["none"]});
-    let options = SaveOptions::new(MaterialFormat::Png16).unit("cm").report(report.clone());
-    material(Lobe::Isotropic).save(dir.path(), &options).unwrap();
+    let options = SaveOptions::new(MaterialFormat::Png16).report(report.clone());
+    let material = Material { unit: Some(Unit::new("cm")), ..material(Lobe::Isotropic) };
+    material.save(dir.path(), &options).unwrap();
     let text = fs::read_to_string(dir.path().join(MATERIAL_JSON)).unwrap();
     let value: Value = serde_json::from_str(&text).unwrap();
     assert_eq!(value["format"], "svbrdf-gcn material");
@@ -198,7 +199,11 @@ fn json_says_what_is_there() {
     assert!(value["conventions"]["normal"].as_str().unwrap().contains("(n + 1) / 2"));
     assert_eq!(value["report"], report);
     assert_eq!(read_report(dir.path()).unwrap(), Some(report));
-    assert_eq!(Material::load(dir.path()).unwrap().patch_size, 12.5);
+    let back = Material::load(dir.path()).unwrap();
+    assert_eq!((back.patch_size, &back.unit), (12.5, &material.unit));
+    // What is made of a material has its unit, what is saved again keeps it.
+    back.resized(2).unwrap().save(dir.path().join("small"), &SaveOptions::default()).unwrap();
+    assert_eq!(Material::load(dir.path().join("small")).unwrap().unit, material.unit);
 }
 
 #[test]

@@ -26,7 +26,7 @@ use svbrdf_gcn_map_kind::*;
 pub struct svbrdf_gcn_material {
     material: Material,
     deviations: Option<Deviations>,
-    unit: Option<String>,
+    unit: Option<CString>,
     report: Option<Value>,
     report_json: CString,
     warnings: Vec<CString>,
@@ -38,10 +38,10 @@ impl svbrdf_gcn_material {
     fn new(
         material: Material,
         deviations: Option<Deviations>,
-        unit: Option<String>,
         report: Option<Value>,
         warnings: &[String],
     ) -> Self {
+        let unit = material.unit.as_ref().map(|unit| c_string(unit.name()));
         let report_json = c_string(&report.as_ref().unwrap_or(&Value::Null).to_string());
         let warnings = warnings.iter().map(|warning| c_string(warning)).collect();
         Self { material, deviations, unit, report, report_json, warnings }
@@ -105,9 +105,8 @@ pub unsafe extern "C" fn svbrdf_gcn_fit_material(
         callback.check()?;
         let Fit { material, deviations, report } = fit?;
         let json = serde_json::to_value(&report).map_err(|error| Failure::invalid("report", error))?;
-        let unit = capture.unit().map(str::to_owned);
         // SAFETY: not NULL.
-        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, unit, Some(json), &report.warnings)) };
+        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, Some(json), &report.warnings)) };
         Ok(())
     })
 }
@@ -168,6 +167,17 @@ pub unsafe extern "C" fn svbrdf_gcn_material_patch_size(material: *const svbrdf_
     })
 }
 
+/// Name of the unit of the patch's width, in UTF-8: that of the capture, or of the folder it was loaded from. NULL if it is not known or `material` is NULL.
+/// Valid as long as the material.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn svbrdf_gcn_material_unit(material: *const svbrdf_gcn_material) -> *const c_char {
+    guard_value(std::ptr::null(), || {
+        // SAFETY: NULL or a living material, says the caller.
+        let unit = &unsafe { borrow("material", material) }?.unit;
+        Ok(unit.as_ref().map_or(std::ptr::null(), |unit| unit.as_ptr()))
+    })
+}
+
 /// What the fit did, as the JSON object that `material.json` holds under `report`: settings, stages, losses, errors of the photos, warnings; `null` if the
 /// material was loaded from files that have none. NULL if `material` is. Valid as long as the material.
 #[unsafe(no_mangle)]
@@ -204,7 +214,6 @@ pub unsafe extern "C" fn svbrdf_gcn_material_save(
             (borrow("material", material)?, path("folder_utf8", folder_utf8)?, read_or_defaults("options", options)?)
         };
         let mut options = options.save_options()?;
-        options.unit.clone_from(&handle.unit);
         options.report.clone_from(&handle.report);
         options.deviations.clone_from(&handle.deviations);
         Ok(handle.material.save(folder, &options)?)
@@ -223,7 +232,7 @@ pub unsafe extern "C" fn svbrdf_gcn_material_load(
         let folder = unsafe { path("folder_utf8", folder_utf8) }?;
         let (material, deviations, report) = (Material::load(folder)?, read_deviations(folder)?, read_report(folder)?);
         // SAFETY: not NULL.
-        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, None, report, &[])) };
+        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, report, &[])) };
         Ok(())
     })
 }

@@ -448,6 +448,11 @@ public:
     MapView normal_deviation() const { return map(Map::NormalDeviation); }
 
     double patch_size() const noexcept { return svbrdf_gcn_material_patch_size(handle_.get()); }
+    /// The unit of patch_size, where it is known.
+    std::optional<std::string> unit() const {
+        const char *name = svbrdf_gcn_material_unit(handle_.get());
+        return name ? std::optional<std::string>(name) : std::nullopt;
+    }
 
     /// A photo of the material, linear RGB.
     Image render(const Shot &shot) const {

@@ -24,6 +24,7 @@ LEVEL_ONE = 2 * ((IOR - 1) / (IOR + 1)) ** 2
 # 1 - max(F0) is not taken below this.
 LEAST_REST = 0.02
 PATCH_SIZE = "svbrdf_gcn_patch_size"
+UNIT = "svbrdf_gcn_unit"
 MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "normal", "tangent")
 
 
@@ -51,6 +52,8 @@ def node_group(material, name):
     """The group: textures of the maps, the math of this module's description, a Principled BSDF."""
     tree = bpy.data.node_groups.new(name, "ShaderNodeTree")
     tree[PATCH_SIZE] = material.patch_size
+    if material.unit is not None:
+        tree[UNIT] = material.unit
     tree.interface.new_socket("BSDF", in_out="OUTPUT", socket_type="NodeSocketShader")
     graph = Graph(tree)
     principled = graph.node("ShaderNodeBsdfPrincipled", 600, 200)
@@ -194,4 +197,4 @@ def read_back(tree):
             maps[kind] = 2 * maps[kind] - 1
     anisotropic = "tangent" in maps
     maps["roughness"] = maps["roughness"][..., :2] if anisotropic else maps["roughness"][..., 0]
-    return svbrdf_gcn.Material(patch_size=tree[PATCH_SIZE], **maps)
+    return svbrdf_gcn.Material(patch_size=tree[PATCH_SIZE], unit=tree.get(UNIT), **maps)

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString, PyTuple};
-use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer};
+use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer, Unit};
 
 use crate::arrays::{ImageArray, Pixels, Triples, asarray, intensities, shape_of, triples, tuple};
 use crate::errors::{argument, detached, format, shape};
@@ -380,7 +380,7 @@ impl PyCapture {
     /// Name of the length unit, where the capture states it.
     #[getter]
     fn unit(&self) -> Option<&str> {
-        self.0.unit()
+        self.0.unit().map(Unit::name)
     }
 
     /// Columns of every photo.

@@ -292,7 +292,7 @@ pub fn py_fit_material<'py>(
         detached(py, || fit_material(&capture, model.as_deref(), &options, &mut |progress| reports.pass(progress)));
     match reports.raised {
         Some(error) => Err(error),
-        None => PyMaterial::fitted(fit?, &capture),
+        None => PyMaterial::fitted(fit?),
     }
 }
 

@@ -14,7 +14,7 @@ use svbrdf_gcn::io::material::{
 };
 use svbrdf_gcn::io::preview::material_png;
 use svbrdf_gcn::metrics::MapErrors;
-use svbrdf_gcn::{Capture, Deviations, ExportOptions, ExportTarget, Material, NormalConvention, Shot, metrics, render};
+use svbrdf_gcn::{Deviations, ExportOptions, ExportTarget, Material, NormalConvention, Shot, Unit, metrics, render};
 
 use crate::arrays::{ImageArray, image, intensities, triple};
 use crate::capture;
@@ -39,6 +39,8 @@ use crate::types::{ArrayLike, Json, json_error};
 ///     Unit vectors; for anisotropic materials only.
 /// patch_size : float
 ///     Width of the maps in the unit of the positions given to `render`.
+/// unit : str, optional
+///     Name of that unit: mm, cm, m, in, or one of your own.
 ///
 /// Raises
 /// ------
@@ -60,7 +62,6 @@ pub struct PyMaterial {
     material: Arc<Material>,
     deviations: Option<Arc<Deviations>>,
     report: Value,
-    unit: Option<String>,
 }
 
 impl PyMaterial {
@@ -68,17 +69,16 @@ impl PyMaterial {
         self.deviations.as_ref().map(|deviations| ImageArray::view(py, deviations, image)).transpose()
     }
 
-    pub fn fitted(fit: Fit, capture: &Capture) -> PyResult<Self> {
+    pub fn fitted(fit: Fit) -> PyResult<Self> {
         let report = serde_json::to_value(&fit.report).map_err(json_error)?;
-        let unit = capture.unit().map(ToOwned::to_owned);
-        Ok(Self { material: Arc::new(fit.material), deviations: fit.deviations.map(Arc::new), report, unit })
+        Ok(Self { material: Arc::new(fit.material), deviations: fit.deviations.map(Arc::new), report })
     }
 }
 
 #[pymethods]
 impl PyMaterial {
     #[new]
-    #[pyo3(signature = (diffuse_albedo, specular_albedo, roughness, normal, tangent = None, *, patch_size))]
+    #[pyo3(signature = (diffuse_albedo, specular_albedo, roughness, normal, tangent = None, *, patch_size, unit = None))]
     fn new(
         py: Python<'_>,
         diffuse_albedo: ArrayLike<'_>,
@@ -87,6 +87,7 @@ impl PyMaterial {
         normal: ArrayLike<'_>,
         tangent: Option<ArrayLike<'_>>,
         patch_size: f64,
+        unit: Option<String>,
     ) -> PyResult<Self> {
         let material = Material {
             diffuse_albedo: image("diffuse_albedo", &diffuse_albedo)?,
@@ -95,10 +96,12 @@ impl PyMaterial {
             normal: image("normal", &normal)?,
             tangent: tangent.map(|tangent| image("tangent", &tangent)).transpose()?,
             patch_size,
+            unit: unit.map(Unit::new),
+            warnings: Vec::new(),
         };
         // What cannot be computed with is refused here, what is out of range limited.
-        let material = detached(py, || Material::from_maps(&material.to_maps()?, patch_size))?;
-        Ok(Self { material: Arc::new(material), deviations: None, report: Value::Null, unit: None })
+        let material = detached(py, || material.limited())?;
+        Ok(Self { material: Arc::new(material), deviations: None, report: Value::Null })
     }
 
     /// Read a material: a folder with a ``material.json``, or maps of another program.
@@ -111,6 +114,8 @@ impl PyMaterial {
     ///     How maps without a ``material.json`` are stored; ``docs/materials.md`` describes these.
     /// patch_size : float, optional
     ///     Width of maps without a ``material.json``; 1 if not given.
+    /// unit : str, optional
+    ///     Unit of that width.
     ///
     /// Returns
     /// -------
@@ -130,10 +135,17 @@ impl PyMaterial {
     /// >>> svbrdf_gcn.Material.load("samples/tiles/truth")
     /// <svbrdf_gcn.Material: 256 x 256 pixels, isotropic, patch 10 wide>
     #[staticmethod]
-    #[pyo3(signature = (path, *, encoding = None, patch_size = None))]
-    fn load(py: Python<'_>, path: PathBuf, encoding: Option<&str>, patch_size: Option<f64>) -> PyResult<Self> {
+    #[pyo3(signature = (path, *, encoding = None, patch_size = None, unit = None))]
+    fn load(
+        py: Python<'_>,
+        path: PathBuf,
+        encoding: Option<&str>,
+        patch_size: Option<f64>,
+        unit: Option<String>,
+    ) -> PyResult<Self> {
         let mut options = LoadOptions::default();
         options.patch_size = patch_size;
+        options.unit = unit.map(Unit::new);
         options.encoding = encoding
             .map(|name| choice("encoding", name, &MaterialEncoding::ALL, MaterialEncoding::name))
             .transpose()?;
@@ -143,7 +155,7 @@ impl PyMaterial {
             let (report, deviations) =
                 if described { (read_report(&path)?, read_deviations(&path)?) } else { (None, None) };
             let deviations = deviations.map(Arc::new);
-            Ok(Self { material, deviations, report: report.unwrap_or_default(), unit: None })
+            Ok(Self { material, deviations, report: report.unwrap_or_default() })
         })
     }
 
@@ -177,7 +189,6 @@ impl PyMaterial {
         let formats = [MaterialFormat::Exr, MaterialFormat::Png16, MaterialFormat::Tiff];
         let mut options = SaveOptions::new(choice("format", format, &formats, format_name)?);
         options.color_space = capture::color_space(color_space)?;
-        options.unit.clone_from(&self.unit);
         options.deviations = self.deviations.as_deref().cloned();
         options.report = (!self.report.is_null()).then(|| self.report.clone());
         detached(py, || self.material.save(folder, &options))
@@ -367,6 +378,12 @@ impl PyMaterial {
     #[getter]
     fn patch_size(&self) -> f64 {
         self.material.patch_size
+    }
+
+    /// Name of the unit of `patch_size`; None if it is not known.
+    #[getter]
+    fn unit(&self) -> Option<&str> {
+        self.material.unit.as_ref().map(Unit::name)
     }
 
     /// Columns of the maps.

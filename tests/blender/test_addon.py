@@ -53,7 +53,7 @@ def test_the_operator_gives_what_python_gives(scene):
         np.testing.assert_array_equal(getattr(got, name), getattr(want, name), err_msg=name)
     # Stored as (n + 1) / 2 and made unit again: a rounding or two.
     np.testing.assert_allclose(got.normal, want.normal, atol=4e-7)
-    assert got.patch_size == want.patch_size
+    assert (got.patch_size, got.unit) == (want.patch_size, want.unit)
     assert bpy.context.view_layer.objects.active.active_material.name == "tiles"
     images = {node.name: node.image for node in tree.nodes if node.type == "TEX_IMAGE"}
     assert set(images) == {"diffuse_albedo", "specular_albedo", "roughness", "normal"}

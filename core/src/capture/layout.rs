@@ -9,6 +9,7 @@ use super::Shot;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::io::read_file;
+use crate::unit::Unit;
 
 /// The largest text or JSON file of a capture, in bytes.
 const MAX_TEXT_BYTES: u64 = 16 << 20;
@@ -25,7 +26,7 @@ pub(super) struct Layout {
     pub implied: bool,
     /// None where nothing states it.
     pub color_space: Option<ColorSpace>,
-    pub unit: Option<String>,
+    pub unit: Option<Unit>,
     pub white_level: Option<f32>,
 }
 
@@ -155,7 +156,7 @@ struct CaptureFile {
     transfer: Transfer,
     color_space: Option<ColorSpace>,
     light_intensity: Option<[f64; 3]>,
-    unit: Option<String>,
+    unit: Option<Unit>,
     white_level: Option<f32>,
     photos: Vec<PhotoEntry>,
     #[serde(rename = "notes")]

@@ -16,6 +16,7 @@ use crate::image::Image;
 use crate::io::profile::{Decoding, FileColors, Stated};
 use crate::io::resize::{fit_size, shrink};
 use crate::io::{Pixels, RowReader, Samples, read_stored};
+use crate::unit::Unit;
 
 use layout::{Entry, Layout};
 
@@ -201,7 +202,7 @@ pub struct Capture {
     photos: Vec<Photo>,
     patch_size: f64,
     transfer: Transfer,
-    unit: Option<String>,
+    unit: Option<Unit>,
     warnings: Vec<String>,
 }
 
@@ -391,7 +392,7 @@ impl Capture {
         Self::assemble(loaded, patch_size, None, None)
     }
 
-    fn assemble(loaded: Vec<Loaded>, patch_size: f64, unit: Option<String>, size: Option<usize>) -> Result<Self> {
+    fn assemble(loaded: Vec<Loaded>, patch_size: f64, unit: Option<Unit>, size: Option<usize>) -> Result<Self> {
         let Some(first) = loaded.first() else {
             return Err(Error::invalid("capture", "expected at least one photo, got 0"));
         };
@@ -492,9 +493,9 @@ impl Capture {
         self.transfer
     }
 
-    /// The name of the length unit, where the capture states it.
-    pub fn unit(&self) -> Option<&str> {
-        self.unit.as_deref()
+    /// The length unit, where the capture states it.
+    pub fn unit(&self) -> Option<&Unit> {
+        self.unit.as_ref()
     }
 
     /// What a user should know about how the capture was read.

@@ -145,11 +145,7 @@ pub fn run(args: &FitArgs) -> Result<()> {
     bar.finish();
     let Fit { material, deviations, report } = fit?;
     let report_json = serde_json::to_value(&report).map_err(|error| Error::invalid("report", error.to_string()))?;
-    let mut save_options = args.save_options().report(report_json.clone()).deviations(deviations);
-    if let Some(unit) = capture.unit() {
-        save_options = save_options.unit(unit);
-    }
-    material.save(&args.out, &save_options)?;
+    material.save(&args.out, &args.save_options().report(report_json.clone()).deviations(deviations))?;
     let preview = args.out.join("preview.png");
     super::preview::write(&preview, &material, &capture)?;
 

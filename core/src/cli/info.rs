@@ -33,6 +33,7 @@ fn material(args: &InfoArgs) -> Result<Value> {
         "width": material.width(),
         "height": material.height(),
         "patch_size": material.patch_size,
+        "unit": material.unit,
         "lobe": match material.lobe() { Lobe::Isotropic => "isotropic", Lobe::Anisotropic => "anisotropic" },
         "report": read_report(&args.file)?,
     }))

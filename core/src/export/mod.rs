@@ -194,7 +194,7 @@ impl Material {
     /// ```
     pub fn export(&self, folder: impl AsRef<Path>, options: &ExportOptions) -> Result<ExportReport> {
         let normals = options.check()?;
-        let material = Self::from_maps(&self.to_maps()?, self.patch_size)?;
+        let material = self.limited()?;
         let mut writer = Writer::new(folder.as_ref(), &options.name, normals);
         let content = match options.target {
             ExportTarget::MaterialX => materialx::write(&material, &mut writer)?,

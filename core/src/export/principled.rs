@@ -334,7 +334,7 @@ impl Principled {
     /// # Ok::<(), svbrdf_gcn::Error>(())
     /// ```
     pub fn from_material(material: &Material) -> Result<Self> {
-        let material = Material::from_maps(&material.to_maps()?, material.patch_size)?;
+        let material = material.limited()?;
         let metallic = Metallic::new(&material, Dielectric::FREE)?;
         let (mut level, specular_tint) = metallic.level_and_tint()?;
         let brightest = level.data().iter().fold(0.0, |brightest, &v| f64::max(brightest, v.into()));
@@ -464,6 +464,8 @@ mod tests {
             normal: image(&[0.0, 0.0, 1.0]),
             tangent: tangent.map(|t| image(&t)),
             patch_size: 1.0,
+            unit: None,
+            warnings: Vec::new(),
         }
     }
 

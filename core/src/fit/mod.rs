@@ -92,7 +92,8 @@ pub fn fit_material(
             }
             Way::Graph(graph) => fit_predicted(capture, graph, options, &mut stages, control)?,
         };
-        let material = Material::from_maps(&maps, capture.patch_size())?;
+        let unit = capture.unit().cloned();
+        let material = Material { unit, ..Material::from_maps(&maps, capture.patch_size())? };
         let photo_errors = capture
             .photos()
             .iter()

@@ -15,6 +15,7 @@ use crate::fit::Deviations;
 use crate::image::Image;
 use crate::maps::Lobe;
 use crate::material::Material;
+use crate::unit::Unit;
 
 /// The file that describes a material folder.
 pub const MATERIAL_JSON: &str = "material.json";
@@ -75,8 +76,6 @@ impl MaterialFormat {
 pub struct SaveOptions {
     /// The image format of the maps.
     pub format: MaterialFormat,
-    /// The name of the unit of `patch_size`, for people.
-    pub unit: Option<String>,
     /// What made the material (settings, losses, timings, warnings), written to `material.json` as it is.
     pub report: Option<serde_json::Value>,
     /// The colour space of the albedos written.
@@ -86,15 +85,9 @@ pub struct SaveOptions {
 }
 
 impl SaveOptions {
-    /// Maps in this format, no unit, no report.
+    /// Maps in this format, no report.
     pub fn new(format: MaterialFormat) -> Self {
         Self { format, ..Self::default() }
-    }
-
-    /// Names the unit of `patch_size`.
-    pub fn unit(mut self, unit: impl Into<String>) -> Self {
-        self.unit = Some(unit.into());
-        self
     }
 
     /// Adds a report to `material.json`.
@@ -176,13 +169,15 @@ impl MaterialEncoding {
 }
 
 /// How a material is read.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct LoadOptions {
     /// The encoding of files without a `material.json`; a `material.json` says it itself.
     pub encoding: Option<MaterialEncoding>,
     /// The width of the patch, where no `material.json` says it; 1 if not given.
     pub patch_size: Option<f64>,
+    /// The unit of that width; not known if not given.
+    pub unit: Option<Unit>,
 }
 
 impl LoadOptions {
@@ -200,6 +195,12 @@ impl LoadOptions {
     /// The width of the patch of files without a `material.json`.
     pub fn patch_size(mut self, patch_size: f64) -> Self {
         self.patch_size = Some(patch_size);
+        self
+    }
+
+    /// The unit of the patch's width of files without a `material.json`.
+    pub fn unit(mut self, unit: Unit) -> Self {
+        self.unit = Some(unit);
         self
     }
 }
@@ -257,7 +258,7 @@ struct MaterialFile {
     height: usize,
     patch_size: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
-    unit: Option<String>,
+    unit: Option<Unit>,
     lobe: Lobe,
     maps: MapFiles,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -366,20 +367,19 @@ impl Material {
     ///
     /// # Example
     /// ```no_run
-    /// use svbrdf_gcn::Material;
+    /// use svbrdf_gcn::{Material, Unit};
     /// use svbrdf_gcn::io::material::{LoadOptions, MaterialEncoding, MaterialFormat, SaveOptions};
     ///
     /// // A strip of the MaterialGAN data set as a folder of 16-bit PNGs.
-    /// let options = LoadOptions::new().encoding(MaterialEncoding::MaterialGan).patch_size(6.8);
+    /// let options = LoadOptions::new().encoding(MaterialEncoding::MaterialGan).patch_size(6.8).unit(Unit::new("cm"));
     /// let material = Material::load_with("strip.png", &options)?;
-    /// material.save("out", &SaveOptions::new(MaterialFormat::Png16).unit("cm"))?;
-    /// assert_eq!(Material::load("out")?.patch_size, 6.8);
+    /// material.save("out", &SaveOptions::new(MaterialFormat::Png16))?;
+    /// assert_eq!(Material::load("out")?.unit, Some(Unit::new("cm")));
     /// # Ok::<(), svbrdf_gcn::Error>(())
     /// ```
     pub fn save(&self, folder: impl AsRef<Path>, options: &SaveOptions) -> Result<()> {
         let folder = folder.as_ref();
-        let maps = self.to_maps()?;
-        let material = Self::from_maps(&maps, self.patch_size)?;
+        let material = self.limited()?;
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
         let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
         let encode = |path: &Path, image: &Image, transfer, color_space: Option<ColorSpace>| match options.format {
@@ -420,7 +420,7 @@ impl Material {
         let mut write_deviation = |map: Map, image: &Image| {
             let name = options.format.deviation_name(map);
             let (size, expected) =
-                ([image.height(), image.width(), image.channels()], [maps.height(), maps.width(), 1]);
+                ([image.height(), image.width(), image.channels()], [material.height(), material.width(), 1]);
             if size != expected {
                 return Err(Error::shape(name, format!("shape {expected:?}"), format!("{size:?}")));
             }
@@ -441,13 +441,13 @@ impl Material {
             format: FORMAT.to_owned(),
             version: VERSION,
             written_by: concat!("svbrdf-gcn ", env!("CARGO_PKG_VERSION")).to_owned(),
-            width: maps.width(),
-            height: maps.height(),
+            width: material.width(),
+            height: material.height(),
             patch_size: self.patch_size,
-            unit: options.unit.clone(),
-            lobe: maps.lobe(),
+            unit: self.unit.clone(),
+            lobe: material.lobe(),
             maps: maps_written,
-            conventions: Conventions::new(maps.lobe(), deviations.is_some()),
+            conventions: Conventions::new(material.lobe(), deviations.is_some()),
             deviations,
             report: options.report.clone(),
         };
@@ -493,7 +493,12 @@ impl Material {
             });
         };
         let patch_size = options.patch_size.unwrap_or(1.0);
-        if metadata.is_dir() { load_plain(path, encoding, patch_size) } else { load_strip(path, encoding, patch_size) }
+        let material = if metadata.is_dir() {
+            load_plain(path, encoding, patch_size)?
+        } else {
+            load_strip(path, encoding, patch_size)?
+        };
+        Ok(Self { unit: options.unit.clone(), ..material })
     }
 
     /// The material at a longer side of at most `longer` pixels, resampled by area; never enlarged. Normals and tangents are averaged
@@ -521,9 +526,11 @@ impl Material {
             roughness: resize(&self.roughness)?,
             normal: resize(&self.normal)?,
             tangent: self.tangent.as_ref().map(resize).transpose()?,
-            patch_size: self.patch_size,
+            unit: self.unit.clone(),
+            warnings: self.warnings.clone(),
+            ..*self
         };
-        Self::from_maps(&resized.to_maps()?, self.patch_size)
+        resized.limited()
     }
 }
 
@@ -632,6 +639,8 @@ fn load_described(folder: &Path, description: &MaterialFile) -> Result<Material>
             normal: read(Map::Normal, normal)?,
             tangent,
             patch_size: description.patch_size,
+            unit: description.unit.clone(),
+            warnings: Vec::new(),
         },
     )
 }
@@ -653,6 +662,8 @@ fn isotropic(read: impl Fn(Map) -> Result<Image>, patch_size: f64) -> Result<Mat
         normal: read(Map::Normal)?,
         tangent: None,
         patch_size,
+        unit: None,
+        warnings: Vec::new(),
     })
 }
 
@@ -737,13 +748,12 @@ fn to_map(map: Map, lobe: Lobe, path: &Path, pixels: Image) -> Result<Image> {
 
 /// The material with values limited to their ranges and vectors at unit length.
 fn assemble(path: &Path, material: Material) -> Result<Material> {
-    let maps = material.to_maps().map_err(|error| match error {
+    material.limited().map_err(|error| match error {
         Error::ShapeMismatch { name, expected, got } => {
             Error::ShapeMismatch { name: format!("{}: {name}", path.display()), expected, got }
         }
         error => error,
-    })?;
-    Material::from_maps(&maps, material.patch_size)
+    })
 }
 
 /// Vectors as they are stored: (n + 1) / 2.

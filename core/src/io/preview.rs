@@ -210,6 +210,8 @@ mod tests {
             normal: flat(width, height, [0.0, 0.0, 1.0]),
             tangent: None,
             patch_size: 1.0,
+            unit: None,
+            warnings: Vec::new(),
         };
         let photo = flat(width, height, [0.2; 3]);
         let rendering = flat(width, height, [9.0, 0.0, 0.2]);

@@ -225,6 +225,8 @@ fn material() -> Material {
         normal: Image::new(width, height, 3, flat).unwrap(),
         tangent: None,
         patch_size: 10.0,
+        unit: None,
+        warnings: Vec::new(),
     }
 }
 
