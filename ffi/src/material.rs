@@ -35,12 +35,7 @@ pub struct svbrdf_gcn_material {
 impl Handle for svbrdf_gcn_material {}
 
 impl svbrdf_gcn_material {
-    fn new(
-        material: Material,
-        deviations: Option<Deviations>,
-        report: Option<Value>,
-        warnings: &[String],
-    ) -> Self {
+    fn new(material: Material, deviations: Option<Deviations>, report: Option<Value>, warnings: &[String]) -> Self {
         let unit = material.unit.as_ref().map(|unit| c_string(unit.name()));
         let report_json = c_string(&report.as_ref().unwrap_or(&Value::Null).to_string());
         let warnings = warnings.iter().map(|warning| c_string(warning)).collect();

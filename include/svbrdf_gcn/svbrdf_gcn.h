@@ -899,6 +899,12 @@ svbrdf_gcn_status svbrdf_gcn_material_map(const struct svbrdf_gcn_material *mate
 double svbrdf_gcn_material_patch_size(const struct svbrdf_gcn_material *material);
 
 /**
+ * Name of the unit of the patch's width, in UTF-8: that of the capture, or of the folder it was loaded from. NULL if it is not known or `material` is NULL.
+ * Valid as long as the material.
+ */
+const char *svbrdf_gcn_material_unit(const struct svbrdf_gcn_material *material);
+
+/**
  * What the fit did, as the JSON object that `material.json` holds under `report`: settings, stages, losses, errors of the photos, warnings; `null` if the
  * material was loaded from files that have none. NULL if `material` is. Valid as long as the material.
  */

@@ -78,6 +78,7 @@ impl PyMaterial {
 #[pymethods]
 impl PyMaterial {
     #[new]
+    #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     #[pyo3(signature = (diffuse_albedo, specular_albedo, roughness, normal, tangent = None, *, patch_size, unit = None))]
     fn new(
         py: Python<'_>,

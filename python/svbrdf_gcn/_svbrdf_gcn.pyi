@@ -242,6 +242,8 @@ class Material:
         Unit vectors; for anisotropic materials only.
     patch_size : float
         Width of the maps in the unit of the positions given to `render`.
+    unit : str, optional
+        Name of that unit: mm, cm, m, in, or one of your own.
 
     Raises
     ------
@@ -259,7 +261,7 @@ class Material:
     >>> svbrdf_gcn.Material(grey, 0.08 * grey, grey[:, :, :1], flat, patch_size=10)
     <svbrdf_gcn.Material: 6 x 4 pixels, isotropic, patch 10 wide>
     """
-    def __new__(cls, /, diffuse_albedo: ArrayLike, specular_albedo: ArrayLike, roughness: ArrayLike, normal: ArrayLike, tangent: ArrayLike | None = None, *, patch_size: SupportsFloat | SupportsIndex) -> Material: ...
+    def __new__(cls, /, diffuse_albedo: ArrayLike, specular_albedo: ArrayLike, roughness: ArrayLike, normal: ArrayLike, tangent: ArrayLike | None = None, *, patch_size: SupportsFloat | SupportsIndex, unit: str | None = None) -> Material: ...
     def __repr__(self, /) -> str: ...
     def _repr_png_(self, /) -> bytes:
         """
@@ -322,7 +324,7 @@ class Material:
         Rows of the maps.
         """
     @staticmethod
-    def load(path: str | PathLike[str], *, encoding: str | None = None, patch_size: SupportsFloat | SupportsIndex | None = None) -> Material:
+    def load(path: str | PathLike[str], *, encoding: str | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, unit: str | None = None) -> Material:
         """
         Read a material: a folder with a ``material.json``, or maps of another program.
 
@@ -334,6 +336,8 @@ class Material:
             How maps without a ``material.json`` are stored; ``docs/materials.md`` describes these.
         patch_size : float, optional
             Width of maps without a ``material.json``; 1 if not given.
+        unit : str, optional
+            Unit of that width.
 
         Returns
         -------
@@ -475,6 +479,11 @@ class Material:
     def tangent(self, /) -> NDArray[float32] | None:
         """
         Unit tangents of an anisotropic material, a read-only array of shape (H, W, 3); else None.
+        """
+    @property
+    def unit(self, /) -> str | None:
+        """
+        Name of the unit of `patch_size`; None if it is not known.
         """
     @property
     def warnings(self, /) -> list[str]:

@@ -285,7 +285,8 @@ static void folder_fit(const svbrdf_gcn_capture *capture, const svbrdf_gcn_mater
         unit &= fabsf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] - 1) < 1e-5f;
     }
     CHECK(in_range && unit);
-    CHECK(svbrdf_gcn_material_patch_size(material) == 10.0);
+    CHECK(svbrdf_gcn_material_patch_size(material) == 10.0 && strcmp(svbrdf_gcn_material_unit(material), "cm") == 0);
+    CHECK(svbrdf_gcn_material_unit(NULL) == NULL);
     CHECK(strstr(svbrdf_gcn_material_report_json(material), "\"method\":\"direct\"") != NULL);
     CHECK(svbrdf_gcn_material_warning(material, 0) == NULL);
     for (i = 0; i < 2 && !quick; i++) {
@@ -327,6 +328,7 @@ static void files(const svbrdf_gcn_material *material, const svbrdf_gcn_capture 
         }
         CHECK(worst < formats[i].tolerance);
         CHECK(strstr(svbrdf_gcn_material_report_json(loaded), "\"seed\":7") != NULL);
+        CHECK(strcmp(svbrdf_gcn_material_unit(loaded), "cm") == 0);
         OK(svbrdf_gcn_photo_rmse(material, capture, 0, &rmse[0]));
         OK(svbrdf_gcn_photo_rmse(loaded, capture, 0, &rmse[1]));
         CHECK(fabs(rmse[0] - rmse[1]) < 1e-3);

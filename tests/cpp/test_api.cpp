@@ -103,7 +103,7 @@ int main(int argc, char **argv) try {
     CHECK(normal.width == capture.width() && normal.channels == 3 && normal.size() == normal.width * normal.height * 3);
     CHECK(std::all_of(material.roughness().begin(), material.roughness().end(), [](float r) { return r >= 0 && r <= 1; }));
     CHECK(normal.at(normal.height - 1, normal.width - 1, 2) == *(normal.end() - 1));
-    CHECK(material.patch_size() == 10.0 && material.warnings().empty());
+    CHECK(material.patch_size() == 10.0 && material.unit() == "cm" && material.warnings().empty());
     CHECK(material.report_json().find("\"seed\":7") != std::string::npos);
     if (!quick) {
         CaptureOptions unseen = capture_options;

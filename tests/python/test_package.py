@@ -574,6 +574,7 @@ def test_materials_load_what_they_save(fitted, tmp_path):
     for name in MAPS:
         np.testing.assert_allclose(getattr(again, name), getattr(fitted, name), atol=3e-7)
     assert again.report == fitted.report and again.warnings == fitted.warnings
+    assert again.unit == fitted.unit == json.loads((TILES / "capture.json").read_text())["unit"]
     with pytest.raises(FormatError, match="encoding must be stated"):
         Material.load(TILES)
     with pytest.raises(ArgumentError, match="format: expected exr, png16 or tiff, got 'jpg'"):
@@ -587,8 +588,9 @@ def test_materials_from_arrays():
     normal = np.zeros((5, 7, 3)) + [0, 0, 1]
     tangent = np.zeros((5, 7, 3)) + [1, 0, 0]
     material = Material(
-        rng.random((5, 7, 3)), rng.random((5, 7, 3)), rng.random((5, 7, 2)), normal, tangent, patch_size=2
+        rng.random((5, 7, 3)), rng.random((5, 7, 3)), rng.random((5, 7, 2)), normal, tangent, patch_size=2, unit="in"
     )
+    assert (material.patch_size, material.unit) == (2, "in")
     np.testing.assert_array_equal(material.tangent, tangent)
     assert material.report == {} and material.warnings == [] and material.roughness.shape == (5, 7, 2)
     photo = material.render([0, 0, 4], [1, 0, 4])
