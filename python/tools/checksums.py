@@ -6,6 +6,7 @@ What the metadata entry `checksums` holds is described in docs/weights.md. No we
 
 import argparse
 import json
+import math
 import os
 import struct
 import sys
@@ -14,6 +15,8 @@ import zlib
 # Weights of this version have checksums, those of version 1 have none.
 VERSION = "2"
 ENTRY = "checksums"
+# Bytes of a value.
+SIZES = {"F16": 2, "F32": 4, "F64": 8}
 
 
 class ChecksumError(Exception):
@@ -62,13 +65,29 @@ def read(path):
         content = file.read()
     try:
         (length,) = struct.unpack_from("<Q", content)
+        if length > len(content) - 8:
+            raise ValueError(f"a header of {length} bytes in a file of {len(content)}")
         header = json.loads(content[8 : 8 + length])
         metadata = header.pop("__metadata__", {})
         data = memoryview(content)[8 + length :]
-        blobs = {name: data[slice(*entry["data_offsets"])] for name, entry in header.items()}
+        check_places(header, len(data))
     except (struct.error, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ChecksumError(f"not a safetensors file: {error}") from None
-    return header, metadata, blobs, data
+        raise ChecksumError(f"not a safetensors file, or a damaged one: {error}") from None
+    return header, metadata, {name: data[slice(*entry["data_offsets"])] for name, entry in header.items()}, data
+
+
+def check_places(header, length):
+    """Fail unless the tensors fill `length` bytes one after the other, as many bytes each as its shape needs."""
+    if not header:
+        raise ValueError("it holds no tensors")
+    end = 0
+    for name, entry in sorted(header.items(), key=lambda item: item[1]["data_offsets"]):
+        start, stop = entry["data_offsets"]
+        if start != end or stop - start != SIZES[entry["dtype"]] * math.prod(entry["shape"]):
+            raise ValueError(f"tensor {name}: {entry['dtype']} of shape {entry['shape']} at {start} to {stop}, expected it from {end} on")
+        end = stop
+    if end != length:
+        raise ValueError(f"tensors of {end} bytes in all, got {length}")
 
 
 def write(path, header, metadata, data):
