@@ -293,3 +293,68 @@ fn colour_profiles_count_unless_they_are_ignored() {
     let ignored = fit(&["--ignore-profiles"]);
     assert!(!ignored.contains("cICP"), "{ignored}");
 }
+
+#[test]
+fn outputs_spare_what_is_not_theirs() {
+    let folder = tempfile::tempdir().unwrap();
+    let capture = folder.path().join("capture");
+    std::fs::create_dir(&capture).unwrap();
+    let described = std::fs::read_to_string(samples("lambert/capture.json")).unwrap();
+    let mut described: Value = serde_json::from_str(&described).unwrap();
+    // Photos of such names, in a folder that the maps are to come to.
+    for (photo, name) in described["photos"].as_array_mut().unwrap().iter_mut().zip(["preview.png", "diffuse.png"]) {
+        std::fs::copy(samples("lambert").join(photo["file"].as_str().unwrap()), capture.join(name)).unwrap();
+        photo["file"] = name.into();
+    }
+    let write = |name: &str| std::fs::write(capture.join(name), described.to_string()).unwrap();
+    let bytes = |name: &str| std::fs::read(capture.join(name)).unwrap();
+    let before = [bytes("preview.png"), bytes("diffuse.png")];
+    let fit = |description: &Path, more: &[&str]| {
+        let arguments = ["fit", text(description), "-o", text(&capture), "--views", "0,1", "--size", "8", "-q"];
+        run(&[&arguments[..], more].concat())
+    };
+    write("capture.json");
+    write("other.json");
+    // Before a fit, which would need more memory than this.
+    let refused = fit(&capture, &["--format", "png16", "--max-memory", "1000"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("diffuse.png: this is a photo that this command reads"), "{}", stderr(&refused));
+    std::fs::remove_file(capture.join("capture.json")).unwrap();
+    let refused = fit(&capture.join("other.json"), &["--max-memory", "1000"]);
+    assert!(stderr(&refused).contains("preview.png: this is a photo that this command reads"), "{}", stderr(&refused));
+    let refused = fit(&samples("lambert"), &["--max-memory", "1000"]);
+    assert!(stderr(&refused).contains("preview.png: svbrdf-gcn did not write this file"), "{}", stderr(&refused));
+    assert_eq!([bytes("preview.png"), bytes("diffuse.png")], before);
+
+    // A picture replaces what its user names, but no photo and no map.
+    let maps = folder.path().join("maps");
+    svbrdf_gcn::Material::load(samples("lambert/truth"))
+        .unwrap()
+        .save(&maps, &svbrdf_gcn::io::material::SaveOptions::default())
+        .unwrap();
+    let render = |out: &Path| {
+        run(&["render", text(&maps), "--camera", "0,0,9", "--light", "0,0,9", "--size", "8", "-o", text(out)])
+    };
+    write("capture.json");
+    for (out, said) in [
+        (capture.join("preview.png"), "a photo of the capture beside it"),
+        (maps.join("normal.exr"), "a map that this command reads"),
+    ] {
+        let before = std::fs::read(&out).unwrap();
+        let refused = render(&out);
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(stderr(&refused).contains(said), "{}", stderr(&refused));
+        assert_eq!(std::fs::read(&out).unwrap(), before);
+    }
+    let mine = folder.path().join("mine.png");
+    std::fs::write(&mine, "mine").unwrap();
+    assert!(render(&mine).status.success());
+    assert!(std::fs::read(&mine).unwrap().starts_with(b"\x89PNG"));
+
+    // A changed map is read, and said to be.
+    std::fs::copy(maps.join("specular.exr"), maps.join("diffuse.exr")).unwrap();
+    let warned = render(&mine);
+    assert!(warned.status.success() && stderr(&warned).contains("diffuse.exr: changed since"), "{}", stderr(&warned));
+    let info = json(&run(&["info", text(&maps), "--json"]));
+    assert!(info["warnings"][0].as_str().unwrap().contains("diffuse.exr"), "{info}");
+}

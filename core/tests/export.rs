@@ -6,6 +6,7 @@ use std::path::Path;
 
 use serde_json::Value;
 use svbrdf_gcn::export::principled::Principled;
+use svbrdf_gcn::io::material::{MaterialFormat, SaveOptions};
 use svbrdf_gcn::io::read_image;
 use svbrdf_gcn::{Error, ExportOptions, ExportTarget, Image, Lobe, Maps, Material, NormalConvention, Transfer};
 use tempfile::TempDir;
@@ -253,4 +254,53 @@ fn what_cannot_be_exported_leaves_nothing() {
     for target in ExportTarget::ALL {
         assert_eq!(ExportTarget::from_name(target.name()), Some(target));
     }
+}
+
+#[test]
+fn an_export_replaces_itself_and_nothing_else() {
+    let dir = TempDir::new().unwrap();
+    let folder = dir.path();
+    let options = |target| ExportOptions::new(target).name("Wood");
+    let names = || {
+        let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        entries.collect::<std::collections::BTreeSet<_>>()
+    };
+    let isotropic = material(Lobe::Isotropic);
+    material(Lobe::Anisotropic).export(folder, &options(ExportTarget::Gltf)).unwrap();
+    assert!(names().contains("anisotropy.png"));
+    isotropic.export(folder, &options(ExportTarget::Gltf)).unwrap();
+    assert!(!names().contains("anisotropy.png"), "{:?}", names());
+    let before = names();
+    // Another export stays what it is, and may lie beside this one as long as none of its files would change.
+    let message = isotropic.export(folder, &options(ExportTarget::MaterialX)).unwrap_err().to_string();
+    assert!(message.contains(".png: another export"), "{message}");
+    assert_eq!(names(), before);
+    isotropic.export(folder, &options(ExportTarget::Gltf).name("Copy")).unwrap();
+    isotropic.export(folder, &options(ExportTarget::Unreal)).unwrap();
+    isotropic.export(folder, &options(ExportTarget::Gltf)).unwrap();
+    for kept in before.iter().map(String::as_str).chain(["Copy.gltf", "Copy.bin", "T_Wood_ORM.png"]) {
+        assert!(names().contains(kept), "{kept}");
+    }
+    let brighter = Material { diffuse_albedo: Image::new(5, 4, 3, vec![0.9; 60]).unwrap(), ..isotropic.clone() };
+    let message = brighter.export(folder, &options(ExportTarget::Gltf)).unwrap_err().to_string();
+    assert!(message.contains(".png: another export"), "{message}");
+    assert_eq!(names().len(), before.len() + 6, "{:?}", names());
+
+    // A material's own folder, and somebody else's files.
+    let own = dir.path().join("own");
+    isotropic.save(&own, &SaveOptions::new(MaterialFormat::Png16)).unwrap();
+    let before = fs::read(own.join("normal.png")).unwrap();
+    let message = isotropic.export(&own, &options(ExportTarget::Principled)).unwrap_err().to_string();
+    assert!(message.contains("roughness.png") && message.contains("material.json"), "{message}");
+    assert_eq!(fs::read(own.join("normal.png")).unwrap(), before);
+    let mine = dir.path().join("mine");
+    fs::create_dir(&mine).unwrap();
+    fs::write(mine.join("Wood.gltf"), "mine").unwrap();
+    let message = isotropic.export(&mine, &options(ExportTarget::Gltf)).unwrap_err().to_string();
+    assert!(message.contains("Wood.gltf") && message.contains("did not write"), "{message}");
+    // And a material does not replace an export's.
+    let exported = dir.path().join("exported");
+    isotropic.export(&exported, &options(ExportTarget::Principled)).unwrap();
+    let message = isotropic.save(&exported, &SaveOptions::new(MaterialFormat::Png16)).unwrap_err().to_string();
+    assert!(message.contains(".png") && message.contains("export.json"), "{message}");
 }

@@ -12,7 +12,8 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 use svbrdf_gcn::io::material::{
-    LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_deviations, read_report,
+    LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, check_folder, read_deviations,
+    read_report,
 };
 use svbrdf_gcn::io::read_image;
 use svbrdf_gcn::{Capture, ColorSpace, Deviations, Image, Lobe, Maps, Material, Transfer, Unit};
@@ -254,6 +255,114 @@ fn a_failed_save_leaves_the_folder_as_it_was() {
     let file = dir.path().join("file");
     fs::write(&file, b"").unwrap();
     assert!(good.save(&file, &SaveOptions::default()).unwrap_err().to_string().contains("file"));
+}
+
+#[test]
+fn what_others_wrote_is_not_replaced() {
+    let material = material(Lobe::Isotropic);
+    let picture = Image::new(2, 2, 3, vec![0.5; 12]).unwrap();
+    for (name, format) in [
+        ("diffuse.png", MaterialFormat::Png16),
+        ("normal.exr", MaterialFormat::Exr),
+        ("preview.png", MaterialFormat::Exr),
+        ("material.json", MaterialFormat::Tiff),
+    ] {
+        let options = SaveOptions::new(format).preview(picture.clone());
+        let dir = TempDir::new().unwrap();
+        let path = dir.path().join(name);
+        fs::write(&path, b"mine").unwrap();
+        for message in [
+            material.save(dir.path(), &options).unwrap_err().to_string(),
+            check_folder(dir.path(), format).unwrap_err().to_string(),
+        ] {
+            assert!(message.contains(name) && message.contains("did not write"), "{message}");
+        }
+        assert_eq!(fs::read(&path).unwrap(), b"mine");
+        assert_eq!(names(dir.path()), [name]);
+        fs::remove_file(&path).unwrap();
+        // What it wrote itself is, also when nothing but the images is left.
+        material.save(dir.path(), &options).unwrap();
+        material.save(dir.path(), &options).unwrap();
+        fs::remove_file(dir.path().join(MATERIAL_JSON)).unwrap();
+        check_folder(dir.path(), format).unwrap();
+        material.save(dir.path(), &options).unwrap();
+        assert_eq!(names(dir.path()).len(), 6);
+        // A picture of the old maps does not outlive them.
+        material.save(dir.path(), &SaveOptions::new(format)).unwrap();
+        assert_eq!(names(dir.path()).len(), 5);
+    }
+    // A photo that a capture names stays, whoever wrote it.
+    let dir = TempDir::new().unwrap();
+    material.save(dir.path(), &SaveOptions::new(MaterialFormat::Png16)).unwrap();
+    fs::remove_file(dir.path().join(MATERIAL_JSON)).unwrap();
+    let capture = json!({"format": "svbrdf-gcn capture", "version": 1, "photos": [{"file": "diffuse.png"}]});
+    fs::write(dir.path().join("capture.json"), capture.to_string()).unwrap();
+    let message = material.save(dir.path(), &SaveOptions::new(MaterialFormat::Png16)).unwrap_err().to_string();
+    assert!(message.contains("diffuse.png") && message.contains("capture.json"), "{message}");
+}
+
+#[test]
+fn a_map_that_was_changed_is_read_with_a_warning() {
+    let dir = TempDir::new().unwrap();
+    let before = material(Lobe::Isotropic);
+    before.save(dir.path(), &SaveOptions::new(MaterialFormat::Tiff)).unwrap();
+    assert!(Material::load(dir.path()).unwrap().warnings.is_empty());
+    let other = Material { roughness: Image::new(5, 3, 1, vec![0.5; 15]).unwrap(), ..before };
+    let elsewhere = dir.path().join("other");
+    other.save(&elsewhere, &SaveOptions::new(MaterialFormat::Tiff)).unwrap();
+    fs::copy(elsewhere.join("roughness.tif"), dir.path().join("roughness.tif")).unwrap();
+    let loaded = Material::load(dir.path()).unwrap();
+    assert_eq!(loaded.roughness, other.roughness);
+    assert_eq!(loaded.warnings.len(), 1, "{:?}", loaded.warnings);
+    assert!(loaded.warnings[0].contains("roughness.tif") && loaded.warnings[0].contains("changed since"));
+    assert_eq!(loaded.resized(2).unwrap().warnings, loaded.warnings);
+    // Saved again it is as its description says; a description without sizes and sums says nothing.
+    loaded.save(dir.path(), &SaveOptions::new(MaterialFormat::Tiff)).unwrap();
+    assert!(Material::load(dir.path()).unwrap().warnings.is_empty());
+    let path = dir.path().join(MATERIAL_JSON);
+    let mut value: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    let sum = &value["files"]["roughness.tif"];
+    let bytes = fs::read(dir.path().join("roughness.tif")).unwrap();
+    assert_eq!(sum["bytes"], bytes.len());
+    assert_eq!(sum["crc32"], format!("{:08x}", crc32(&bytes)));
+    value.as_object_mut().unwrap().remove("files");
+    fs::write(&path, value.to_string()).unwrap();
+    fs::copy(elsewhere.join("roughness.tif"), dir.path().join("specular.tif")).unwrap();
+    assert!(Material::load(dir.path()).unwrap().warnings.is_empty());
+}
+
+/// CRC-32 bit by bit.
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |crc: u32| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 };
+    !bytes.iter().fold(!0, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), |crc, _| step(crc)))
+}
+
+/// A folder that may not be written keeps what a save was killed over; a load reads the new files by the record.
+#[cfg(unix)]
+#[test]
+fn a_load_that_may_not_write_reads_the_right_files() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = TempDir::new().unwrap();
+    let (folder, other) = (dir.path().join("a"), dir.path().join("b"));
+    let old = material(Lobe::Isotropic);
+    let new =
+        Material { roughness: Image::new(5, 3, 1, vec![0.5; 15]).unwrap(), unit: Some(Unit::new("m")), ..old.clone() };
+    old.save(&folder, &SaveOptions::new(MaterialFormat::Tiff)).unwrap();
+    new.save(&other, &SaveOptions::new(MaterialFormat::Tiff)).unwrap();
+    let mut replace = serde_json::Map::new();
+    for (i, name) in names(&other).into_iter().enumerate() {
+        let temporary = format!(".svbrdf-gcn-{i}.tmp");
+        fs::copy(other.join(&name), folder.join(if i < 2 { &name } else { &temporary })).unwrap();
+        replace.insert(name, temporary.into());
+    }
+    let record = json!({"format": "svbrdf-gcn save", "version": 1, "replace": replace, "remove": []});
+    fs::write(folder.join(".svbrdf-gcn-save.json"), record.to_string()).unwrap();
+    fs::set_permissions(&folder, fs::Permissions::from_mode(0o555)).unwrap();
+    let expected = Material::load(&other).unwrap();
+    assert_eq!(Material::load(&folder).unwrap(), expected);
+    fs::set_permissions(&folder, fs::Permissions::from_mode(0o755)).unwrap();
+    assert_eq!(Material::load(&folder).unwrap(), expected);
+    assert_eq!(names(&folder), names(&other));
 }
 
 #[test]

@@ -575,6 +575,15 @@ fn develop(
     Ok(Loaded { photo, transfer: stated.transfer, full_size, notes })
 }
 
+/// The photos that a capture on disk names, none of which is opened.
+///
+/// # Errors
+/// As [`Capture::open_with`].
+#[cfg(feature = "cli")]
+pub(crate) fn photo_files(path: &Path) -> Result<Vec<PathBuf>> {
+    Ok(Layout::read(path)?.entries.into_iter().map(|entry| entry.path).collect())
+}
+
 fn check_patch_size(patch_size: f64) -> Result<()> {
     if patch_size.is_finite() && patch_size > 0.0 {
         return Ok(());

@@ -5,10 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::{CaptureArgs, say, say_json};
+use super::{CaptureArgs, load_material, say, say_json};
 use crate::capture::Capture;
 use crate::error::{Error, Result};
-use crate::material::Material;
 use crate::metrics::{MapErrors, photo_rmse};
 use crate::render::render;
 
@@ -43,7 +42,7 @@ struct PhotoError {
 }
 
 pub fn run(args: &EvaluateArgs) -> Result<()> {
-    let material = Material::load(&args.material)?;
+    let material = load_material(&args.material)?;
     let size = material.width().max(material.height());
     let capture = Capture::open_with(&args.capture.capture, &args.capture.options(Some(size)))?;
     if (capture.width(), capture.height()) != (material.width(), material.height()) {
@@ -68,7 +67,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     let rmse = photos.iter().map(|photo| photo.rmse).sum::<f64>() / photos.len() as f64;
     let maps = match &args.truth {
         Some(truth) => {
-            let truth = Material::load(truth)?;
+            let truth = load_material(truth)?;
             Some(MapErrors::between(&material, &truth.resized(size)?)?)
         }
         None => None,

@@ -4,11 +4,10 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use super::{say, say_json};
+use super::{load_material, say, say_json};
 use crate::error::Result;
 use crate::export::principled::Loss;
 use crate::export::{ExportOptions, ExportReport, ExportTarget, NormalConvention};
-use crate::material::Material;
 
 #[derive(Args)]
 pub struct ExportArgs {
@@ -66,7 +65,7 @@ impl ExportArgs {
 }
 
 pub fn run(args: &ExportArgs) -> Result<()> {
-    let report = Material::load(&args.material)?.export(&args.out, &args.options())?;
+    let report = load_material(&args.material)?.export(&args.out, &args.options())?;
     if args.json { say_json(&report) } else { say(&summary(&report)) }
 }
 

@@ -8,15 +8,16 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
+use super::outputs::keep;
 use super::{CaptureArgs, complain, say, say_json};
-use crate::capture::Capture;
+use crate::capture::{Capture, photo_files};
 use crate::color::ColorSpace;
 use crate::error::{Error, Result};
 use crate::fit::options::{FitOptions, Method, Preset};
 use crate::fit::progress::{CancelToken, Progress};
 use crate::fit::report::FitReport;
 use crate::fit::{Fit, fit_material};
-use crate::io::material::{MaterialFormat, SaveOptions};
+use crate::io::material::{self, MaterialFormat, PREVIEW_PNG, SaveOptions, file_names};
 use crate::nn::Model;
 
 #[derive(Args)]
@@ -118,13 +119,16 @@ impl FitArgs {
         options
     }
 
-    fn save_options(&self) -> SaveOptions {
-        SaveOptions::new(match self.format {
+    fn format(&self) -> MaterialFormat {
+        match self.format {
             FormatArg::Exr => MaterialFormat::Exr,
             FormatArg::Png16 => MaterialFormat::Png16,
             FormatArg::Tiff => MaterialFormat::Tiff,
-        })
-        .color_space(self.capture.color_space.map(ColorSpace::from).unwrap_or_default())
+        }
+    }
+
+    fn save_options(&self) -> SaveOptions {
+        SaveOptions::new(self.format()).color_space(self.capture.color_space.map(ColorSpace::from).unwrap_or_default())
     }
 }
 
@@ -135,6 +139,11 @@ pub fn run(args: &FitArgs) -> Result<()> {
     drop(ctrlc::set_handler(move || on_interrupt.cancel()));
 
     check_folder(&args.out)?;
+    let photos = photo_files(&args.capture.capture)?;
+    for name in file_names(args.format()) {
+        keep(&args.out.join(name), "a photo that this command reads", photos.clone())?;
+    }
+    material::check_folder(&args.out, args.format())?;
     let capture = Capture::open_with(&args.capture.capture, &args.capture.options(args.size))?;
     let model = args.weights.as_deref().map(|path| Model::load_for(path, capture.len())).transpose()?;
     let mut bar = Bar::new(args.quiet || args.json);
@@ -145,15 +154,15 @@ pub fn run(args: &FitArgs) -> Result<()> {
     bar.finish();
     let Fit { material, deviations, report } = fit?;
     let report_json = serde_json::to_value(&report).map_err(|error| Error::invalid("report", error.to_string()))?;
-    material.save(&args.out, &args.save_options().report(report_json.clone()).deviations(deviations))?;
-    let preview = args.out.join("preview.png");
-    super::preview::write(&preview, &material, &capture)?;
+    let preview = super::preview::preview(&material, &capture)?;
+    let save_options = args.save_options().report(report_json.clone()).deviations(deviations).preview(preview);
+    material.save(&args.out, &save_options)?;
 
     for warning in &report.warnings {
         complain(&format!("warning: {warning}"));
     }
     if args.json {
-        say_json(&json!({ "material": args.out, "preview": preview, "report": report_json }))
+        say_json(&json!({ "material": args.out, "preview": args.out.join(PREVIEW_PNG), "report": report_json }))
     } else if args.quiet {
         Ok(())
     } else {

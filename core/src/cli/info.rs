@@ -5,11 +5,10 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::{say, say_json};
+use super::{load_material, say, say_json};
 use crate::error::Result;
 use crate::io::material::read_report;
 use crate::maps::Lobe;
-use crate::material::Material;
 use crate::nn::{Model, PhotoGraph};
 
 #[derive(Args)]
@@ -27,7 +26,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
 }
 
 fn material(args: &InfoArgs) -> Result<Value> {
-    let material = Material::load(&args.file)?;
+    let material = load_material(&args.file)?;
     Ok(json!({
         "kind": "material",
         "width": material.width(),
@@ -35,6 +34,7 @@ fn material(args: &InfoArgs) -> Result<Value> {
         "patch_size": material.patch_size,
         "unit": material.unit,
         "lobe": match material.lobe() { Lobe::Isotropic => "isotropic", Lobe::Anisotropic => "anisotropic" },
+        "warnings": material.warnings,
         "report": read_report(&args.file)?,
     }))
 }

@@ -4,19 +4,21 @@ mod evaluate;
 mod export;
 mod fit;
 mod info;
+mod outputs;
 mod preview;
 mod render;
 mod train;
 
 use std::ffi::OsString;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::capture::CaptureOptions;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
+use crate::material::Material;
 
 /// Material maps from flash photos.
 #[derive(Parser)]
@@ -172,6 +174,15 @@ fn exit_code(error: &Error) -> i32 {
         Error::OutOfMemory { .. } => 6,
         Error::Cancelled => 130,
     }
+}
+
+/// A material folder, with what there is to say about how it was read.
+fn load_material(folder: &Path) -> Result<Material> {
+    let material = Material::load(folder)?;
+    for warning in &material.warnings {
+        complain(&format!("warning: {warning}"));
+    }
+    Ok(material)
 }
 
 /// One line on standard error.

@@ -1,18 +1,17 @@
 //! The picture beside the maps.
 
-use std::path::Path;
-
 use crate::capture::{Capture, Photo};
 use crate::error::Result;
-use crate::io::preview::{Comparison, new_view, preview_png};
+use crate::image::Image;
+use crate::io::preview::{self, Comparison, new_view};
 use crate::material::Material;
 use crate::render::render;
 
 /// Photos shown beside their re-renderings.
 const COMPARED: usize = 2;
 
-/// Writes maps, the first and the last photo beside their re-renderings, and a view with the light at the upper left.
-pub fn write(path: &Path, material: &Material, capture: &Capture) -> Result<()> {
+/// Maps, the first and the last photo beside their re-renderings, and a view with the light at the upper left.
+pub fn preview(material: &Material, capture: &Capture) -> Result<Image> {
     let photos = capture.photos();
     let shown: Vec<&Photo> = photos.iter().step_by((photos.len() - 1).max(1)).take(COMPARED).collect();
     let renderings = shown.iter().map(|photo| render(material, &photo.shot)).collect::<Result<Vec<_>>>()?;
@@ -21,5 +20,5 @@ pub fn write(path: &Path, material: &Material, capture: &Capture) -> Result<()> 
         .zip(&renderings)
         .map(|(photo, rendering)| Comparison { name: &photo.name, photo: &photo.image, rendering })
         .collect();
-    preview_png(path, material, &comparisons, &render(material, &new_view(&photos[0].shot))?)
+    preview::preview(material, &comparisons, &render(material, &new_view(&photos[0].shot))?)
 }

@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{ColorSpaceArg, TransferArg, Triple};
+use super::outputs::keep_maps_and_photos;
+use super::{ColorSpaceArg, TransferArg, Triple, load_material};
 use crate::capture::Shot;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::io::write_image_in;
-use crate::material::Material;
 use crate::render::render;
 
 #[derive(Args)]
@@ -41,7 +41,8 @@ pub struct RenderArgs {
 }
 
 pub fn run(args: &RenderArgs) -> Result<()> {
-    let material = Material::load(&args.material)?;
+    keep_maps_and_photos(&args.out, &args.material)?;
+    let material = load_material(&args.material)?;
     let material = match args.size {
         Some(size) => material.resized(size)?,
         None => material,

@@ -177,11 +177,11 @@ pub struct ExportReport {
 impl Material {
     /// Writes the material for another program to a folder, which is made if it is not there, with a report in `export.json`.
     ///
-    /// All files are written under temporary names before the first is renamed.
+    /// An export of the same name for the same program is replaced as a whole, as [`Material::save`] does it. Other exports in the folder stay.
     ///
     /// # Errors
     /// As [`Material::to_maps`]; [`Error::InvalidArgument`] for a name that is no identifier, or DirectX normals for MaterialX and
-    /// glTF, which define theirs; [`Error::Io`] if a file cannot be written.
+    /// glTF, which define theirs, and for a file in the folder that no export wrote or that another export uses; [`Error::Io`] if a file cannot be written.
     ///
     /// # Example
     /// ```no_run

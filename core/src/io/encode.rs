@@ -6,11 +6,15 @@ use std::path::Path;
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
-use tiff::encoder::{TiffEncoder, colortype};
+use tiff::TiffResult;
+use tiff::encoder::TiffEncoder;
+use tiff::encoder::colortype::{self, ColorType};
+use tiff::tags::Tag;
 
 use super::decode::{broken, unsupported};
 use super::exr::{self, Precision};
-use super::save::write_files;
+use super::ours::SOFTWARE;
+use super::save::write_file;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::image::Image;
@@ -48,7 +52,7 @@ pub(crate) fn write_image_in(path: &Path, image: &Image, transfer: Transfer, col
         "tif" | "tiff" => tiff_float(path, image)?,
         other => return Err(unsupported(path, format!("extension {other:?}; written are .png, .jpg, .exr and .tif"))),
     };
-    write_files(&[(path.to_path_buf(), bytes)])
+    write_file(path, &bytes)
 }
 
 /// The channels of an image under the names OpenEXR gives them: Y for one, R, G for two, R, G, B for three.
@@ -94,7 +98,19 @@ fn png(path: &Path, image: &Image, bytes: &[u8], color: ExtendedColorType) -> Re
     let (width, height) = size32(path, image)?;
     let mut out = Vec::new();
     PngEncoder::new(&mut out).write_image(bytes, width, height, color).map_err(|e| broken(path, e))?;
+    // The encoder has no text; it may stand right after the header, a chunk of 13 bytes.
+    out.splice(PNG_HEADER..PNG_HEADER, png_text("Software", SOFTWARE));
     Ok(out)
+}
+
+/// The signature and the first chunk of every PNG file, in bytes.
+const PNG_HEADER: usize = 8 + 12 + 13;
+
+/// A chunk of Latin text.
+fn png_text(keyword: &str, text: &str) -> Vec<u8> {
+    let named = [b"tEXt", keyword.as_bytes(), b"\0", text.as_bytes()].concat();
+    let length = (keyword.len() + 1 + text.len()) as u32;
+    [&length.to_be_bytes()[..], &named, &crc32fast::hash(&named).to_be_bytes()].concat()
 }
 
 /// A TIFF of 32-bit floats, the values as they are; two channels are written as R, G and B = 0.
@@ -104,11 +120,22 @@ pub(super) fn tiff_float(path: &Path, image: &Image) -> Result<Vec<u8>> {
     let mut out = Cursor::new(Vec::new());
     let mut encoder = TiffEncoder::new(&mut out).map_err(|e| broken(path, e))?;
     match image.channels() {
-        1 => encoder.write_image::<colortype::Gray32Float>(width, height, image.data()),
-        _ => encoder.write_image::<colortype::RGB32Float>(width, height, image.data()),
+        1 => write_tiff::<colortype::Gray32Float>(&mut encoder, width, height, image.data()),
+        _ => write_tiff::<colortype::RGB32Float>(&mut encoder, width, height, image.data()),
     }
     .map_err(|e| broken(path, e))?;
     Ok(out.into_inner())
+}
+
+fn write_tiff<C: ColorType<Inner = f32>>(
+    encoder: &mut TiffEncoder<&mut Cursor<Vec<u8>>>,
+    width: u32,
+    height: u32,
+    values: &[f32],
+) -> TiffResult<()> {
+    let mut image = encoder.new_image::<C>(width, height)?;
+    image.encoder().write_tag(Tag::Software, SOFTWARE)?;
+    image.write_data(values)
 }
 
 fn with_blue(image: &Image) -> Result<Image> {

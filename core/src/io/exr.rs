@@ -13,6 +13,7 @@ use exr::meta::header::LayerAttributes;
 use exr::prelude::{ReadChannels, ReadLayers, f16};
 
 use super::decode::{OwnedSamples, Stored, broken, check_size, unsupported};
+use super::ours::SOFTWARE;
 use super::profile::FileColors;
 use crate::color::{Chromaticities, ColorSpace};
 use crate::error::{Error, Result};
@@ -178,8 +179,8 @@ pub(super) fn encode(
             AnyChannel::new(*name, samples)
         })
         .collect();
-    let layer =
-        Layer::new(Vec2(width, height), LayerAttributes::default(), Encoding::SMALL_LOSSLESS, AnyChannels::sort(list));
+    let attributes = LayerAttributes { software_name: Some(SOFTWARE.into()), ..LayerAttributes::default() };
+    let layer = Layer::new(Vec2(width, height), attributes, Encoding::SMALL_LOSSLESS, AnyChannels::sort(list));
     let mut bytes = Cursor::new(Vec::new());
     let mut image = ExrImage::from_layer(layer);
     if color_space != ColorSpace::Rec709 {

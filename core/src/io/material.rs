@@ -1,14 +1,17 @@
 //! Material folders: one image per map and `material.json`, which says how each is encoded. `docs/materials.md` describes them.
 
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::decode::{Stored, read_file, read_stored};
-use super::encode::{named_channels, png16, tiff_float};
+use super::decode::{MAX_DECODED_BYTES, Stored, decode, read_stored};
+use super::encode::{named_channels, png8, png16, tiff_float};
 use super::exr::{self, Precision};
+use super::ours::{self, Description};
 use super::resize::{fit_size, shrink};
-use super::save::write_files;
+use super::save::{Files, Saving, read_whole};
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::fit::Deviations;
@@ -18,11 +21,16 @@ use crate::material::Material;
 use crate::unit::Unit;
 
 /// The file that describes a material folder.
-pub const MATERIAL_JSON: &str = "material.json";
+pub const MATERIAL_JSON: &str = Description::Material.file();
 
-const FORMAT: &str = "svbrdf-gcn material";
+/// The picture beside the maps.
+pub const PREVIEW_PNG: &str = "preview.png";
+
+const FORMAT: &str = Description::Material.format();
 const VERSION: u64 = 1;
 const MAX_JSON_BYTES: u64 = 64 << 20;
+/// Pixels and what a file has beside them.
+const MAX_MAP_BYTES: u64 = MAX_DECODED_BYTES + (1 << 16);
 
 /// How far a stored value may lie outside of [0, 1] (rounding of half floats, filters) before it is an error.
 const RANGE_SLACK: f32 = 1e-3;
@@ -82,6 +90,8 @@ pub struct SaveOptions {
     pub color_space: ColorSpace,
     /// How sure the maps are, written beside them.
     pub deviations: Option<Deviations>,
+    /// A picture in screen values, (H, W, 3), [0, 1], written as `preview.png`; see [`preview`](super::preview::preview).
+    pub preview: Option<Image>,
 }
 
 impl SaveOptions {
@@ -99,6 +109,12 @@ impl SaveOptions {
     /// Writes how sure the maps are beside them.
     pub fn deviations(mut self, deviations: Option<Deviations>) -> Self {
         self.deviations = deviations;
+        self
+    }
+
+    /// Writes a picture beside the maps.
+    pub fn preview(mut self, preview: Image) -> Self {
+        self.preview = Some(preview);
         self
     }
 
@@ -263,16 +279,32 @@ struct MaterialFile {
     maps: MapFiles,
     #[serde(skip_serializing_if = "Option::is_none")]
     deviations: Option<DeviationFiles>,
+    /// What was written beside this file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    files: Option<BTreeMap<String, Content>>,
     #[serde(skip_deserializing)]
     conventions: Conventions,
     #[serde(skip_serializing_if = "Option::is_none")]
     report: Option<serde_json::Value>,
 }
 
-impl MaterialFile {
-    /// The files of maps and deviations.
-    fn files(&self) -> impl Iterator<Item = &String> {
-        self.maps.files().map(|map| &map.file).chain(self.deviations.iter().flat_map(DeviationFiles::files))
+/// By what a file is known again.
+#[derive(PartialEq, Eq, Serialize, Deserialize)]
+struct Content {
+    bytes: u64,
+    /// Eight hexadecimal digits.
+    crc32: String,
+}
+
+impl Content {
+    fn of(bytes: &[u8]) -> Self {
+        Self { bytes: bytes.len() as u64, crc32: format!("{:08x}", crc32fast::hash(bytes)) }
+    }
+}
+
+impl std::fmt::Display for Content {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} bytes with CRC-32 {}", self.bytes, self.crc32)
     }
 }
 
@@ -286,12 +318,6 @@ struct MapFiles {
     tangent: Option<MapFile>,
 }
 
-impl MapFiles {
-    fn files(&self) -> impl Iterator<Item = &MapFile> {
-        [&self.diffuse, &self.specular, &self.roughness, &self.normal].into_iter().chain(&self.tangent)
-    }
-}
-
 /// The files of standard deviations.
 #[derive(Serialize, Deserialize)]
 struct DeviationFiles {
@@ -299,12 +325,6 @@ struct DeviationFiles {
     specular: String,
     roughness: String,
     normal: String,
-}
-
-impl DeviationFiles {
-    fn files(&self) -> impl Iterator<Item = &String> {
-        [&self.diffuse, &self.specular, &self.roughness, &self.normal].into_iter()
-    }
 }
 
 /// One map's file, relative to the folder, and how its values are stored.
@@ -358,12 +378,13 @@ impl Material {
     /// Writes the maps and `material.json` to a folder, which is made if it is not there.
     ///
     /// Files are `diffuse`, `specular`, `roughness`, `normal` and, for an anisotropic material, `tangent`, with the extension of the
-    /// format. Albedos and roughness are limited to [0, 1], normals and tangents written at unit length. All files are
-    /// written under temporary names before the first is renamed, `material.json` last: what fails leaves the folder as it was.
-    /// Map files of another format that the folder's former `material.json` names are removed after that.
+    /// format. Albedos and roughness are limited to [0, 1], normals and tangents written at unit length. A material that is there is
+    /// replaced as a whole: whenever the process ends or a call fails, the folder holds all of the old one or all of the new one, and the next save or
+    /// load finishes what was begun. Files that only the old one had, of another format say, are removed.
     ///
     /// # Errors
-    /// As [`Material::to_maps`]; [`Error::Io`] if a file cannot be written.
+    /// As [`Material::to_maps`]; [`Error::InvalidArgument`] if a file of one of these names is neither named by the folder's `material.json` nor an image that
+    /// says it was written by this library; [`Error::Io`] if a file cannot be written, or another process saves there for more than a minute.
     ///
     /// # Example
     /// ```no_run
@@ -380,8 +401,7 @@ impl Material {
     pub fn save(&self, folder: impl AsRef<Path>, options: &SaveOptions) -> Result<()> {
         let folder = folder.as_ref();
         let material = self.limited()?;
-        std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
-        let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
+        let mut files: Vec<(String, Vec<u8>)> = Vec::new();
         let encode = |path: &Path, image: &Image, transfer, color_space: Option<ColorSpace>| match options.format {
             MaterialFormat::Exr => {
                 let channels = named_channels(image);
@@ -402,9 +422,8 @@ impl Material {
                 transfer: options.format.transfer(map, options.color_space),
                 color_space: map.is_color().then_some(options.color_space),
             };
-            let path = folder.join(&entry.file);
-            let bytes = encode(&path, image, entry.transfer, entry.color_space)?;
-            files.push((path, bytes));
+            let bytes = encode(&folder.join(&entry.file), image, entry.transfer, entry.color_space)?;
+            files.push((entry.file.clone(), bytes));
             Ok(entry)
         };
         let maps_written = MapFiles {
@@ -424,8 +443,7 @@ impl Material {
             if size != expected {
                 return Err(Error::shape(name, format!("shape {expected:?}"), format!("{size:?}")));
             }
-            let path = folder.join(&name);
-            files.push((path.clone(), encode(&path, image, Transfer::Linear, None)?));
+            files.push((name.clone(), encode(&folder.join(&name), image, Transfer::Linear, None)?));
             Ok(name)
         };
         let deviations = match &options.deviations {
@@ -437,6 +455,11 @@ impl Material {
             }),
             None => None,
         };
+        if let Some(preview) = &options.preview {
+            // The picture holds screen values already.
+            let bytes = png8(&folder.join(PREVIEW_PNG), preview, Transfer::Linear)?;
+            files.push((PREVIEW_PNG.to_owned(), bytes));
+        }
         let description = MaterialFile {
             format: FORMAT.to_owned(),
             version: VERSION,
@@ -449,21 +472,24 @@ impl Material {
             maps: maps_written,
             conventions: Conventions::new(material.lobe(), deviations.is_some()),
             deviations,
+            files: Some(files.iter().map(|(name, bytes)| (name.clone(), Content::of(bytes))).collect()),
             report: options.report.clone(),
         };
-        let path = folder.join(MATERIAL_JSON);
-        let replaced = if path.exists() { read_description(&path).ok() } else { None };
-        let mut text = serde_json::to_vec_pretty(&description).map_err(|e| Error::io(&path, e))?;
+        let mut text =
+            serde_json::to_vec_pretty(&description).map_err(|e| Error::io(&folder.join(MATERIAL_JSON), e))?;
         text.push(b'\n');
-        files.push((path, text));
-        write_files(&files)?;
-        if let Some(replaced) = replaced {
-            remove_replaced(folder, &replaced, &description);
-        }
-        Ok(())
+        files.push((MATERIAL_JSON.to_owned(), text));
+
+        let saving = Saving::begin(folder)?;
+        ours::check(folder, Description::Material, files.iter().map(|(name, _)| name.as_str()))?;
+        let replaced = replaced(folder, &files);
+        saving.replace(&files, replaced)
     }
 
     /// Reads a folder with a `material.json`. Albedos in another colour space are converted to Rec. 709 and limited to [0, 1] again.
+    ///
+    /// A map that has changed since its `material.json` was written is read as it is, with a warning that names it in [`Material::warnings`]. What a save
+    /// that was ended by force left in the folder is finished or cleared away, where this process may write there.
     ///
     /// # Errors
     /// [`Error::Io`] for files that are missing or broken; [`Error::UnsupportedFormat`] for another version of the format, or a
@@ -481,9 +507,10 @@ impl Material {
     pub fn load_with(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Self> {
         let path = path.as_ref();
         let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, e))?;
-        let description = path.join(MATERIAL_JSON);
-        if metadata.is_dir() && description.exists() {
-            return load_described(path, &read_description(&description)?);
+        if metadata.is_dir()
+            && let Some(material) = described(path, |files, description| load_described(path, files, description))?
+        {
+            return Ok(material);
         }
         let Some(encoding) = options.encoding else {
             let names = MaterialEncoding::ALL.map(MaterialEncoding::name).join(", ");
@@ -539,7 +566,7 @@ impl Material {
 /// # Errors
 /// As [`Material::load`].
 pub fn read_report(folder: impl AsRef<Path>) -> Result<Option<serde_json::Value>> {
-    Ok(read_description(&folder.as_ref().join(MATERIAL_JSON))?.report)
+    required(folder.as_ref(), |_, description| Ok(description.report.clone()))
 }
 
 /// How sure the maps of a material folder are, where it says so.
@@ -548,12 +575,16 @@ pub fn read_report(folder: impl AsRef<Path>) -> Result<Option<serde_json::Value>
 /// As [`Material::load`].
 pub fn read_deviations(folder: impl AsRef<Path>) -> Result<Option<Deviations>> {
     let folder = folder.as_ref();
-    let description = read_description(&folder.join(MATERIAL_JSON))?;
-    let Some(files) = &description.deviations else { return Ok(None) };
+    required(folder, |files, description| {
+        description.deviations.as_ref().map(|names| load_deviations(folder, files, names)).transpose()
+    })
+}
+
+fn load_deviations(folder: &Path, files: &Files<'_>, names: &DeviationFiles) -> Result<Deviations> {
     let mut first = None;
     let mut read = |name: &str| {
         let path = folder.join(name);
-        let image = read_stored(&path)?.to_image(Transfer::Linear)?;
+        let image = decode(&path, &files.read(name, MAX_MAP_BYTES)?)?.to_image(Transfer::Linear)?;
         let size = [image.height(), image.width(), image.channels()];
         let expected = *first.get_or_insert([size[0], size[1], 1]);
         if size != expected {
@@ -566,41 +597,58 @@ pub fn read_deviations(folder: impl AsRef<Path>) -> Result<Option<Deviations>> {
             None => Ok(image),
         }
     };
-    Ok(Some(Deviations {
-        diffuse_albedo: read(&files.diffuse)?,
-        specular_albedo: read(&files.specular)?,
-        roughness: read(&files.roughness)?,
-        normal: read(&files.normal)?,
-    }))
+    Ok(Deviations {
+        diffuse_albedo: read(&names.diffuse)?,
+        specular_albedo: read(&names.specular)?,
+        roughness: read(&names.roughness)?,
+        normal: read(&names.normal)?,
+    })
 }
 
-/// Removes the map files of `old` that are none of `new`, as far as they bear names that [`Material::save`] gives. The material is
-/// in place by then: a file that cannot be removed is only logged.
-fn remove_replaced(folder: &Path, old: &MaterialFile, new: &MaterialFile) {
-    let named = |file: &str, format: MaterialFormat, map: Map| {
-        file == format.file_name(map) || file == format.deviation_name(map)
-    };
-    let ours =
-        |file: &str| MaterialFormat::ALL.iter().any(|&format| Map::ALL.iter().any(|&map| named(file, format, map)));
-    for file in old.files() {
-        if !ours(file) || new.files().any(|kept| kept == file) {
-            continue;
-        }
-        if let Err(error) = std::fs::remove_file(folder.join(file)) {
-            tracing::warn!("{}: not removed: {error}", folder.join(file).display());
-        }
-    }
+/// Checks whether [`Material::save`] may write to a folder what a fit can come to: better known before the fit than after it.
+///
+/// # Errors
+/// [`Error::InvalidArgument`] naming the file that a save would refuse to replace.
+pub fn check_folder(folder: impl AsRef<Path>, format: MaterialFormat) -> Result<()> {
+    let names: Vec<String> = file_names(format).collect();
+    ours::check(folder.as_ref(), Description::Material, names.iter().map(String::as_str))
 }
 
-fn read_description(path: &Path) -> Result<MaterialFile> {
+/// All files that a material may have in a format.
+pub(crate) fn file_names(format: MaterialFormat) -> impl Iterator<Item = String> {
+    let maps = Map::ALL.into_iter().flat_map(move |map| [format.file_name(map), format.deviation_name(map)]);
+    maps.chain([PREVIEW_PNG, MATERIAL_JSON].map(str::to_owned))
+}
+
+/// The files of the material in a folder that `files` do not replace, as far as they bear names that [`Material::save`] gives.
+fn replaced(folder: &Path, files: &[(String, Vec<u8>)]) -> BTreeSet<String> {
+    let Some(old) = Description::Material.read(folder) else { return BTreeSet::new() };
+    let mut names = Description::Material.names(&old);
+    let given: BTreeSet<String> = MaterialFormat::ALL.into_iter().flat_map(file_names).collect();
+    names.retain(|name| given.contains(name) && !files.iter().any(|(file, _)| file == name));
+    names
+}
+
+/// What `read` makes of a folder with a `material.json`; `None` for one without.
+fn described<T>(folder: &Path, read: impl Fn(&Files<'_>, &MaterialFile) -> Result<T>) -> Result<Option<T>> {
+    read_whole(folder, MATERIAL_JSON, MAX_JSON_BYTES, |files| {
+        let Some(text) = &files.description else { return Ok(None) };
+        read(files, &parse_description(&folder.join(MATERIAL_JSON), text)?).map(Some)
+    })
+}
+
+fn required<T>(folder: &Path, read: impl Fn(&Files<'_>, &MaterialFile) -> Result<T>) -> Result<T> {
+    described(folder, read)?.ok_or_else(|| Error::io(&folder.join(MATERIAL_JSON), ErrorKind::NotFound))
+}
+
+fn parse_description(path: &Path, bytes: &[u8]) -> Result<MaterialFile> {
     #[derive(Deserialize)]
     struct Head {
         format: Option<String>,
         version: Option<u64>,
     }
-    let bytes = read_file(path, MAX_JSON_BYTES)?;
     let invalid = |e: serde_json::Error| Error::invalid(path.display().to_string(), e.to_string());
-    let head: Head = serde_json::from_slice(&bytes).map_err(invalid)?;
+    let head: Head = serde_json::from_slice(bytes).map_err(invalid)?;
     if head.format.as_deref() != Some(FORMAT) || head.version != Some(VERSION) {
         let format = head.format.as_deref().unwrap_or("missing");
         let version = head.version.map_or("missing".to_owned(), |version| version.to_string());
@@ -609,14 +657,22 @@ fn read_description(path: &Path) -> Result<MaterialFile> {
             got: format!("format {format:?}, version {version}; read is {FORMAT:?}, version {VERSION}"),
         });
     }
-    serde_json::from_slice(&bytes).map_err(invalid)
+    serde_json::from_slice(bytes).map_err(invalid)
 }
 
-fn load_described(folder: &Path, description: &MaterialFile) -> Result<Material> {
+fn load_described(folder: &Path, files: &Files<'_>, description: &MaterialFile) -> Result<Material> {
     let MapFiles { diffuse, specular, roughness, normal, tangent } = &description.maps;
-    let read = |map: Map, entry: &MapFile| {
+    let mut warnings = Vec::new();
+    let mut read = |map: Map, entry: &MapFile| {
         let path = folder.join(&entry.file);
-        let mut image = decode_map(map, description.lobe, &path, &read_stored(&path)?, entry.transfer)?;
+        let bytes = files.read(&entry.file, MAX_MAP_BYTES)?;
+        let (found, written) = (Content::of(&bytes), description.files.as_ref().and_then(|all| all.get(&entry.file)));
+        if let Some(written) = written.filter(|written| **written != found) {
+            let path = path.display();
+            warnings
+                .push(format!("{path}: changed since {MATERIAL_JSON} was written: expected {written}, got {found}"));
+        }
+        let mut image = decode_map(map, description.lobe, &path, &decode(&path, &bytes)?, entry.transfer)?;
         if let Some(color_space) = entry.color_space.filter(|_| map.is_color()) {
             color_space.convert_image(ColorSpace::Rec709, &mut image);
         }
@@ -630,18 +686,16 @@ fn load_described(folder: &Path, description: &MaterialFile) -> Result<Material>
             return Err(Error::invalid(name, "lobe anisotropic, but maps has no tangent"));
         }
     };
+    let [diffuse_albedo, specular_albedo, roughness, normal] = [
+        read(Map::Diffuse, diffuse)?,
+        read(Map::Specular, specular)?,
+        read(Map::Roughness, roughness)?,
+        read(Map::Normal, normal)?,
+    ];
+    let (patch_size, unit) = (description.patch_size, description.unit.clone());
     assemble(
         folder,
-        Material {
-            diffuse_albedo: read(Map::Diffuse, diffuse)?,
-            specular_albedo: read(Map::Specular, specular)?,
-            roughness: read(Map::Roughness, roughness)?,
-            normal: read(Map::Normal, normal)?,
-            tangent,
-            patch_size: description.patch_size,
-            unit: description.unit.clone(),
-            warnings: Vec::new(),
-        },
+        Material { diffuse_albedo, specular_albedo, roughness, normal, tangent, patch_size, unit, warnings },
     )
 }
 
@@ -760,4 +814,60 @@ fn assemble(path: &Path, material: Material) -> Result<Material> {
 fn half_range(image: &Image) -> Result<Image> {
     let data = image.data().iter().map(|v| (v + 1.0) / 2.0).collect();
     Image::new(image.width(), image.height(), image.channels(), data)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use tempfile::TempDir;
+
+    use super::*;
+    use crate::io::save::failing;
+
+    fn material(value: f32) -> Material {
+        let image = |channels: usize, value: f32| Image::new(2, 2, channels, vec![value; 4 * channels]).unwrap();
+        Material {
+            diffuse_albedo: image(3, value),
+            specular_albedo: image(3, value),
+            roughness: image(1, value),
+            normal: Image::new(2, 2, 3, [0.0, 0.0, 1.0].repeat(4)).unwrap(),
+            tangent: None,
+            patch_size: f64::from(value),
+            unit: None,
+            warnings: Vec::new(),
+        }
+    }
+
+    fn options(format: MaterialFormat) -> SaveOptions {
+        SaveOptions::new(format).preview(Image::new(1, 1, 3, vec![0.5; 3]).unwrap())
+    }
+
+    #[test]
+    fn a_failing_disk_leaves_the_whole_old_or_the_whole_new_material() {
+        let (old, new) = (material(0.25), material(0.75));
+        let mut seen = BTreeSet::new();
+        for (format, stays) in [MaterialFormat::Exr, MaterialFormat::Tiff].into_iter().zip([false, true]) {
+            for at in 0.. {
+                let dir = TempDir::new().unwrap();
+                old.save(dir.path(), &options(MaterialFormat::Exr)).unwrap();
+                let (result, reached) = failing::at(at, stays, || new.save(dir.path(), &options(format)));
+                // What a load finds that may write nothing, and one that may.
+                let (frozen, _) = failing::at(0, true, || Material::load(dir.path()).unwrap());
+                let back = Material::load(dir.path()).unwrap();
+                assert_eq!(back, frozen);
+                assert!(back.warnings.is_empty(), "step {at}: {:?}", back.warnings);
+                assert_eq!(back.diffuse_albedo, if back.patch_size == 0.25 { &old } else { &new }.diffuse_albedo);
+                let names = fs::read_dir(dir.path()).unwrap().count();
+                assert_eq!(names, 6, "four maps, the picture, the description");
+                if !reached {
+                    result.unwrap();
+                    assert_eq!(back.patch_size, 0.75);
+                    break;
+                }
+                seen.insert((result.is_ok(), back.patch_size == 0.25));
+            }
+        }
+        assert!(seen.contains(&(false, true)) && seen.contains(&(false, false)) && !seen.contains(&(true, true)));
+    }
 }

@@ -11,6 +11,7 @@ mod exr;
 mod font;
 mod jpeg;
 pub mod material;
+pub(crate) mod ours;
 pub mod preview;
 pub(crate) mod profile;
 pub(crate) mod resize;

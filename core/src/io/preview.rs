@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::encode::png8;
+use super::font;
 use super::resize::{fit_size, shrink};
-use super::{font, write_image};
 use crate::capture::Shot;
 use crate::color::Transfer;
 use crate::error::{Error, Result};
@@ -82,20 +82,6 @@ pub fn preview(material: &Material, comparisons: &[Comparison<'_>], new_view: &I
     }
     large.draw(&mut canvas, MARGIN + left, MARGIN);
     Ok(canvas)
-}
-
-/// Writes the [`preview`] to a PNG file.
-///
-/// # Errors
-/// As [`preview`] and [`write_image`].
-pub fn preview_png(
-    path: impl AsRef<Path>,
-    material: &Material,
-    comparisons: &[Comparison<'_>],
-    new_view: &Image,
-) -> Result<()> {
-    // The picture holds screen values already.
-    write_image(path, &preview(material, comparisons, new_view)?, Transfer::Linear)
 }
 
 /// The bytes of a PNG file with the maps of a material side by side and a view of it under a light at the upper left, for hosts that show

@@ -15,7 +15,7 @@ use super::tape::{Param, Planes, Pool};
 use super::weights::{self, CHECKSUMS, Reader, broken};
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
-use crate::io::save::temporary_beside;
+use crate::io::save::Temporary;
 use crate::maps::Lobe;
 
 /// The default network's weights file.
@@ -152,11 +152,9 @@ impl Model {
             }
         }
         let metadata = self.metadata().map_err(|error| Error::io(path, error))?;
-        let mut out = BufWriter::new(temporary_beside(path)?);
+        let mut out = BufWriter::new(Temporary::beside(path)?);
         weights::write(&mut out, metadata, &tensors).map_err(|error| Error::io(path, error))?;
-        let file = out.into_inner().map_err(|error| Error::io(path, error.into_error()))?;
-        file.persist(path).map_err(|error| Error::io(path, error.error))?;
-        Ok(())
+        out.into_inner().map_err(|error| Error::io(path, error.into_error()))?.persist(path)
     }
 
     /// The network for the most photos that `photos` photos suffice for.
