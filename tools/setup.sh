@@ -4,7 +4,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 # The commands that come from Debian packages, and the packages.
-declare -A packages=([cc]=build-essential [python3]=python3 [pkg-config]=pkg-config [cmake]=cmake [valgrind]=valgrind)
+declare -A packages=([cc]=build-essential [python3]=python3 [pkg-config]=pkg-config [cmake]=cmake [valgrind]=valgrind [strace]=strace)
 missing=()
 for command in "${!packages[@]}"; do
     command -v "$command" >/dev/null || missing+=("${packages[$command]}")

@@ -35,10 +35,12 @@ pub struct svbrdf_gcn_material {
 impl Handle for svbrdf_gcn_material {}
 
 impl svbrdf_gcn_material {
-    fn new(material: Material, deviations: Option<Deviations>, report: Option<Value>, warnings: &[String]) -> Self {
+    fn new(material: Material, deviations: Option<Deviations>, report: Option<Value>) -> Self {
         let unit = material.unit.as_ref().map(|unit| c_string(unit.name()));
         let report_json = c_string(&report.as_ref().unwrap_or(&Value::Null).to_string());
-        let warnings = warnings.iter().map(|warning| c_string(warning)).collect();
+        let of_fit = report.as_ref().and_then(|report| report.get("warnings")?.as_array()).into_iter().flatten();
+        let warnings = material.warnings.iter().map(String::as_str).chain(of_fit.filter_map(Value::as_str));
+        let warnings = warnings.map(c_string).collect();
         Self { material, deviations, unit, report, report_json, warnings }
     }
 }
@@ -101,7 +103,7 @@ pub unsafe extern "C" fn svbrdf_gcn_fit_material(
         let Fit { material, deviations, report } = fit?;
         let json = serde_json::to_value(&report).map_err(|error| Failure::invalid("report", error))?;
         // SAFETY: not NULL.
-        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, Some(json), &report.warnings)) };
+        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, Some(json))) };
         Ok(())
     })
 }
@@ -183,7 +185,7 @@ pub unsafe extern "C" fn svbrdf_gcn_material_report_json(material: *const svbrdf
     })
 }
 
-/// What a user should know about the fit: warning `index`, from 0, in UTF-8; NULL past the last. Valid as long as the material.
+/// What a user should know, of loaded maps those that have changed since they were saved, then of the fit: warning `index`, from 0, in UTF-8; NULL past the last. Valid as long as the material.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn svbrdf_gcn_material_warning(
     material: *const svbrdf_gcn_material,
@@ -195,8 +197,9 @@ pub unsafe extern "C" fn svbrdf_gcn_material_warning(
     })
 }
 
-/// Writes the maps and `material.json` to a folder (UTF-8 path), which is made if it is not there: the files that the command line writes. `options` may
-/// be NULL.
+/// Writes the maps and `material.json` to a folder (UTF-8 path), which is made if it is not there: the files that the command line writes. A material that is
+/// there is replaced as a whole, or, if the call fails, left as it was. A file of one of these names that svbrdf-gcn did not write is
+/// `SVBRDF_GCN_ERR_INVALID_ARGUMENT`. `options` may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn svbrdf_gcn_material_save(
     material: *const svbrdf_gcn_material,
@@ -227,7 +230,7 @@ pub unsafe extern "C" fn svbrdf_gcn_material_load(
         let folder = unsafe { path("folder_utf8", folder_utf8) }?;
         let (material, deviations, report) = (Material::load(folder)?, read_deviations(folder)?, read_report(folder)?);
         // SAFETY: not NULL.
-        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, report, &[])) };
+        unsafe { give(out, svbrdf_gcn_material::new(material, deviations, report)) };
         Ok(())
     })
 }

@@ -911,13 +911,15 @@ const char *svbrdf_gcn_material_unit(const struct svbrdf_gcn_material *material)
 const char *svbrdf_gcn_material_report_json(const struct svbrdf_gcn_material *material);
 
 /**
- * What a user should know about the fit: warning `index`, from 0, in UTF-8; NULL past the last. Valid as long as the material.
+ * What a user should know, of loaded maps those that have changed since they were saved, then of the fit: warning `index`, from 0, in UTF-8; NULL past the last. Valid as long as the material.
  */
-const char *svbrdf_gcn_material_warning(const struct svbrdf_gcn_material *material, size_t index);
+const char *svbrdf_gcn_material_warning(const struct svbrdf_gcn_material *material,
+                                        size_t index);
 
 /**
- * Writes the maps and `material.json` to a folder (UTF-8 path), which is made if it is not there: the files that the command line writes. `options` may
- * be NULL.
+ * Writes the maps and `material.json` to a folder (UTF-8 path), which is made if it is not there: the files that the command line writes. A material that is
+ * there is replaced as a whole, or, if the call fails, left as it was. A file of one of these names that svbrdf-gcn did not write is
+ * `SVBRDF_GCN_ERR_INVALID_ARGUMENT`. `options` may be NULL.
  */
 svbrdf_gcn_status svbrdf_gcn_material_save(const struct svbrdf_gcn_material *material,
                                            const char *folder_utf8,

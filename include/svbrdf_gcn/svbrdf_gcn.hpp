@@ -479,7 +479,7 @@ public:
     /// What the fit did, as JSON; "null" if there was none.
     std::string report_json() const { return svbrdf_gcn_material_report_json(handle_.get()); }
 
-    /// What a user should know about the fit.
+    /// What a user should know: of loaded maps those that have changed since they were saved; of the fit.
     std::vector<std::string> warnings() const {
         return detail::strings(svbrdf_gcn_material_warning, handle_.get());
     }

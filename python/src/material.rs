@@ -162,7 +162,8 @@ impl PyMaterial {
 
     /// Write the maps and ``material.json`` to a folder, which is made if it is not there.
     ///
-    /// The files are those of the command line; ``docs/materials.md`` describes them. They appear whole or not at all.
+    /// The files are those of the command line; ``docs/materials.md`` describes them. A material that is there is replaced as a whole, or, if the
+    /// call fails, left as it was.
     ///
     /// Parameters
     /// ----------
@@ -174,6 +175,8 @@ impl PyMaterial {
     ///
     /// Raises
     /// ------
+    /// ArgumentError
+    ///     If a file of one of these names is there that svbrdf-gcn did not write.
     /// OSError
     ///     If a file cannot be written.
     ///
@@ -219,7 +222,8 @@ impl PyMaterial {
     /// Raises
     /// ------
     /// ArgumentError
-    ///     For another program or name, and normals that the program does not take.
+    ///     For another program or name, normals that the program does not take, and a file in the folder that no export wrote or that another
+    ///     export uses.
     /// OSError
     ///     If a file cannot be written.
     ///
@@ -405,11 +409,11 @@ impl PyMaterial {
         Json::new(py, &self.report)
     }
 
-    /// What a user should know about capture and fit.
+    /// What a user should know: of loaded maps those that have changed since they were saved; of capture and fit.
     #[getter]
     fn warnings(&self) -> Vec<&str> {
-        let warnings = self.report.get("warnings").and_then(Value::as_array);
-        warnings.into_iter().flatten().filter_map(Value::as_str).collect()
+        let of_fit = self.report.get("warnings").and_then(Value::as_array).into_iter().flatten();
+        self.material.warnings.iter().map(String::as_str).chain(of_fit.filter_map(Value::as_str)).collect()
     }
 
     /// The maps side by side and a view under a light at the upper left, for notebooks.

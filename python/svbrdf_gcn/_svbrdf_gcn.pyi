@@ -305,7 +305,8 @@ class Material:
         Raises
         ------
         ArgumentError
-            For another program or name, and normals that the program does not take.
+            For another program or name, normals that the program does not take, and a file in the folder that no export wrote or that another
+            export uses.
         OSError
             If a file cannot be written.
 
@@ -441,7 +442,8 @@ class Material:
         """
         Write the maps and ``material.json`` to a folder, which is made if it is not there.
 
-        The files are those of the command line; ``docs/materials.md`` describes them. They appear whole or not at all.
+        The files are those of the command line; ``docs/materials.md`` describes them. A material that is there is replaced as a whole, or, if the
+        call fails, left as it was.
 
         Parameters
         ----------
@@ -453,6 +455,8 @@ class Material:
 
         Raises
         ------
+        ArgumentError
+            If a file of one of these names is there that svbrdf-gcn did not write.
         OSError
             If a file cannot be written.
 
@@ -488,7 +492,7 @@ class Material:
     @property
     def warnings(self, /) -> list[str]:
         """
-        What a user should know about capture and fit.
+        What a user should know: of loaded maps those that have changed since they were saved; of capture and fit.
         """
     @property
     def width(self, /) -> int:

@@ -332,7 +332,23 @@ static void files(const svbrdf_gcn_material *material, const svbrdf_gcn_capture 
         OK(svbrdf_gcn_photo_rmse(material, capture, 0, &rmse[0]));
         OK(svbrdf_gcn_photo_rmse(loaded, capture, 0, &rmse[1]));
         CHECK(fabs(rmse[0] - rmse[1]) < 1e-3);
+        CHECK(svbrdf_gcn_material_warning(loaded, 0) == NULL);
         svbrdf_gcn_material_destroy(loaded);
+        /* A map that changed since is read with a warning. */
+        if (formats[i].format == SVBRDF_GCN_FORMAT_TIFF) {
+            FILE *changed = fopen(file, "ab");
+            CHECK(changed != NULL && fputc(0, changed) == 0 && fclose(changed) == 0);
+            OK(svbrdf_gcn_material_load(folder, &loaded));
+            CHECK(strstr(svbrdf_gcn_material_warning(loaded, 0), "diffuse.tif") != NULL);
+            CHECK(svbrdf_gcn_material_warning(loaded, 1) == NULL);
+            svbrdf_gcn_material_destroy(loaded);
+            /* A file of somebody else's is not replaced. */
+            changed = fopen(file, "wb");
+            CHECK(changed != NULL && fputc('x', changed) == 'x' && fclose(changed) == 0);
+            snprintf(file, sizeof file, "%s/material.json", folder);
+            CHECK(remove(file) == 0);
+            FAILS(svbrdf_gcn_material_save(material, folder, &options), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "diffuse.tif");
+        }
     }
 }
 

@@ -583,6 +583,21 @@ def test_materials_load_what_they_save(fitted, tmp_path):
         Material.load(TILES, encoding="other")
 
 
+def test_a_changed_map_is_said_and_files_of_others_are_spared(fitted, tmp_path):
+    fitted.save(tmp_path)
+    with (tmp_path / "normal.exr").open("ab") as file:
+        file.write(b"\0")
+    changed, *rest = Material.load(tmp_path).warnings
+    assert "normal.exr" in changed and "changed since" in changed and rest == fitted.warnings
+    with pytest.raises(ArgumentError, match="normal.png: .*another folder"):
+        (tmp_path / "normal.png").write_text("mine")
+        fitted.export(tmp_path, to="principled")
+    with pytest.raises(ArgumentError, match="diffuse.tif: svbrdf-gcn did not write"):
+        (tmp_path / "diffuse.tif").write_text("mine")
+        fitted.save(tmp_path, format="tiff")
+    assert (tmp_path / "diffuse.tif").read_text() == (tmp_path / "normal.png").read_text() == "mine"
+
+
 def test_materials_from_arrays():
     rng = np.random.default_rng(1)
     normal = np.zeros((5, 7, 3)) + [0, 0, 1]

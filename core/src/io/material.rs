@@ -24,7 +24,7 @@ use crate::unit::Unit;
 pub const MATERIAL_JSON: &str = Description::Material.file();
 
 /// The picture beside the maps.
-pub const PREVIEW_PNG: &str = "preview.png";
+pub const PREVIEW_PNG: &str = ours::PREVIEW_PNG;
 
 const FORMAT: &str = Description::Material.format();
 const VERSION: u64 = 1;
@@ -279,7 +279,7 @@ struct MaterialFile {
     maps: MapFiles,
     #[serde(skip_serializing_if = "Option::is_none")]
     deviations: Option<DeviationFiles>,
-    /// What was written beside this file.
+    /// Maps and deviations as they were written.
     #[serde(skip_serializing_if = "Option::is_none")]
     files: Option<BTreeMap<String, Content>>,
     #[serde(skip_deserializing)]
@@ -455,11 +455,6 @@ impl Material {
             }),
             None => None,
         };
-        if let Some(preview) = &options.preview {
-            // The picture holds screen values already.
-            let bytes = png8(&folder.join(PREVIEW_PNG), preview, Transfer::Linear)?;
-            files.push((PREVIEW_PNG.to_owned(), bytes));
-        }
         let description = MaterialFile {
             format: FORMAT.to_owned(),
             version: VERSION,
@@ -479,6 +474,10 @@ impl Material {
             serde_json::to_vec_pretty(&description).map_err(|e| Error::io(&folder.join(MATERIAL_JSON), e))?;
         text.push(b'\n');
         files.push((MATERIAL_JSON.to_owned(), text));
+        if let Some(preview) = &options.preview {
+            // The picture holds screen values already.
+            files.push((PREVIEW_PNG.to_owned(), png8(&folder.join(PREVIEW_PNG), preview, Transfer::Linear)?));
+        }
 
         let saving = Saving::begin(folder)?;
         ours::check(folder, Description::Material, files.iter().map(|(name, _)| name.as_str()))?;
@@ -626,6 +625,8 @@ fn replaced(folder: &Path, files: &[(String, Vec<u8>)]) -> BTreeSet<String> {
     let mut names = Description::Material.names(&old);
     let given: BTreeSet<String> = MaterialFormat::ALL.into_iter().flat_map(file_names).collect();
     names.retain(|name| given.contains(name) && !files.iter().any(|(file, _)| file == name));
+    // A picture that is not written may be somebody else's.
+    names.retain(|name| name != PREVIEW_PNG || ours::says_ours(&folder.join(name)));
     names
 }
 

@@ -19,6 +19,9 @@ const OURS: &[u8] = b"svbrdf-gcn";
 const MAX_BYTES: u64 = 64 << 20;
 const MAX_IMAGE_BYTES: u64 = 1 << 31;
 
+/// The picture beside the maps of a material.
+pub(super) const PREVIEW_PNG: &str = "preview.png";
+
 /// A file that describes others in its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Description {
@@ -52,14 +55,15 @@ impl Description {
         (value.get("format")?.as_str()? == self.format()).then_some(value)
     }
 
-    /// The files that such a description names.
+    /// The files that such a description names, and the picture that a material may have beside its maps.
     pub fn names(self, value: &Value) -> BTreeSet<String> {
         let keys: &[&str] = match self {
             Self::Capture => &["photos"],
             Self::Material => &["maps", "deviations", "files"],
             Self::Export => &["files", "earlier"],
         };
-        keys.iter().flat_map(|key| names_in(value, key)).collect()
+        let unnamed = (self == Self::Material).then(|| PREVIEW_PNG.to_owned());
+        keys.iter().flat_map(|key| names_in(value, key)).chain(unnamed).collect()
     }
 }
 
@@ -194,7 +198,7 @@ mod tests {
         let message = refused(Description::Material, "diffuse.png");
         assert!(message.contains("diffuse.png") && message.contains("did not write"), "{message}");
 
-        let maps = br#"{"format": "svbrdf-gcn material", "maps": {"diffuse": {"file": "diffuse.png"}}, "deviations": {"normal": "n.png"}, "files": {"preview.png": {}}}"#;
+        let maps = br#"{"format": "svbrdf-gcn material", "maps": {"diffuse": {"file": "diffuse.png"}}, "deviations": {"normal": "n.png"}}"#;
         write("material.json", maps);
         for name in ["diffuse.png", "n.png", "preview.png", "material.json"] {
             write("n.png", b"");
