@@ -91,16 +91,45 @@ impl Material {
     /// # Errors
     /// As [`Material::to_maps`].
     pub fn limited(&self) -> Result<Self> {
-        let limited = Self::from_maps(&self.to_maps()?, self.patch_size)?;
+        self.check_ranges()?;
+        self.normalised()
+    }
+
+    /// [`Material::limited`] whatever the values are: those of files, which may be rounded or in another colour space, and averages of vectors.
+    pub(crate) fn normalised(&self) -> Result<Self> {
+        let limited = Self::from_maps(&self.planes()?, self.patch_size)?;
         Ok(Self { unit: self.unit.clone(), warnings: self.warnings.clone(), ..limited })
     }
 
     /// The maps as planes, albedos and roughness limited to [0, 1].
     ///
     /// # Errors
-    /// [`Error::ShapeMismatch`] if an image's size or channels do not fit; [`Error::InvalidArgument`] if a value is not finite or
-    /// `patch_size` is not positive and finite.
+    /// [`Error::ShapeMismatch`] if an image's size or channels do not fit; [`Error::InvalidArgument`] if a value is not finite, an albedo or roughness lies outside
+    /// [0, 1] by more than 1e-3 (values of 0 to 255, say), the length of a normal or tangent is off by more than a tenth (a normal map that is still
+    /// encoded, say), or `patch_size` is not positive and finite.
     pub fn to_maps(&self) -> Result<Maps<f32>> {
+        self.check_ranges()?;
+        self.planes()
+    }
+
+    /// Fails for values that are no albedos, roughness, normals or tangents, but something that has yet to be made so.
+    fn check_ranges(&self) -> Result<()> {
+        check_range(
+            "diffuse_albedo",
+            &self.diffuse_albedo,
+            "decode an image first: divide by its largest code, then undo its gamma",
+        )?;
+        check_range(
+            "specular_albedo",
+            &self.specular_albedo,
+            "decode an image first: divide by its largest code, then undo its gamma",
+        )?;
+        check_range("roughness", &self.roughness, "divide an image by its largest code first")?;
+        check_lengths("normal", &self.normal)?;
+        self.tangent.iter().try_for_each(|tangent| check_lengths("tangent", tangent))
+    }
+
+    fn planes(&self) -> Result<Maps<f32>> {
         check_patch_size(self.patch_size)?;
         let lobe = self.lobe();
         let (width, height) = (self.normal.width(), self.normal.height());
@@ -125,6 +154,40 @@ impl Material {
             push("tangent", tangent, 3, false)?;
         }
         Maps::new(lobe, width, height, data)
+    }
+}
+
+/// How far outside [0, 1] an albedo or a roughness may lie, which rounding explains.
+const RANGE_SLACK: f32 = 1e-3;
+/// How far from 1 the length of a vector may be, which rounding to 8 bits and resampling explain.
+const LENGTH_SLACK: f64 = 0.1;
+
+/// Fails if a finite value lies outside [0, 1].
+fn check_range(name: &str, image: &Image, advice: &str) -> Result<()> {
+    let off = |value: f32| (value - 1.0).max(-value);
+    let values = image.data().iter().copied().filter(|value| value.is_finite());
+    match values.max_by(|&a, &b| off(a).total_cmp(&off(b))) {
+        Some(worst) if off(worst) > RANGE_SLACK => {
+            Err(Error::invalid(name, format!("expected linear values from 0 to 1, got {worst}: {advice}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Fails if a finite vector is not about of unit length.
+fn check_lengths(name: &str, image: &Image) -> Result<()> {
+    let length = |vector: &[f32]| vector.iter().map(|&component| f64::from(component).powi(2)).sum::<f64>().sqrt();
+    let vectors = image.data().chunks_exact(3).filter(|vector| vector.iter().all(|component| component.is_finite()));
+    let off = |vector: &&[f32]| (length(vector) - 1.0).abs();
+    match vectors.max_by(|a, b| off(a).total_cmp(&off(b))) {
+        Some(worst) if image.channels() == 3 && off(&worst) > LENGTH_SLACK => {
+            let got = format!("got {worst:?} of length {:.3}", length(worst));
+            Err(Error::invalid(
+                name,
+                format!("expected vectors of length 1, {got}: make vectors of an encoded map first, 2 n - 1"),
+            ))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -204,6 +267,44 @@ mod tests {
         for (got, expected) in tangent.data()[6..9].iter().zip([0.6, 0.8, 0.0]) {
             assert!((got - expected).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn what_is_still_encoded_is_refused() {
+        let good = Material::from_maps(&maps(Lobe::Anisotropic), 1.0).unwrap();
+        let image = |channels: usize, value: f32| Image::new(3, 2, channels, vec![value; 6 * channels]).unwrap();
+        let normals = |vector: [f32; 3]| Image::new(3, 2, 3, vector.repeat(6)).unwrap();
+        let message = |material: Material| {
+            let message = material.to_maps().unwrap_err().to_string();
+            assert_eq!(material.limited().unwrap_err().to_string(), message);
+            assert_eq!(
+                crate::render::render(
+                    &material,
+                    &crate::Shot { camera: [0.0, 0.0, 2.0], light: [0.0, 0.0, 2.0], light_intensity: [1.0; 3] }
+                )
+                .unwrap_err()
+                .to_string(),
+                message
+            );
+            message
+        };
+        for (material, parts) in [
+            (
+                Material { diffuse_albedo: image(3, 255.0), ..good.clone() },
+                ["diffuse_albedo: ", "from 0 to 1, got 255"],
+            ),
+            (Material { specular_albedo: image(3, -0.002), ..good.clone() }, ["specular_albedo: ", "got -0.002"]),
+            (Material { roughness: image(2, 1.002), ..good.clone() }, ["roughness: ", "got 1.002"]),
+            (Material { normal: normals([0.5, 0.5, 1.0]), ..good.clone() }, ["normal: ", "length 1.225"]),
+            (Material { normal: normals([0.0; 3]), ..good.clone() }, ["normal: ", "length 0.000"]),
+            (Material { tangent: Some(normals([1.0, 0.5, 0.5])), ..good.clone() }, ["tangent: ", "2 n - 1"]),
+        ] {
+            let message = message(material);
+            assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+        }
+        // Rounding is none of that.
+        let rounded = Material { diffuse_albedo: image(3, 1.0009), normal: normals([0.0, 0.05, 0.94]), ..good };
+        assert!(rounded.to_maps().unwrap().plane(DIFFUSE_PLANE).iter().all(|&value| value == 1.0));
     }
 
     #[test]

@@ -261,6 +261,59 @@ fn wrong_json() {
 }
 
 #[test]
+fn all_that_is_wrong_is_told_at_once() {
+    let text = r#"{"format": "svbrdf-gcn capture", "version": 1, "patchsize": 4, "transfer": "Adobe", "white_level": 0, "unit": 7,
+        "photos": [{"file": "a.png", "camera": [0, 0]}, {"camera": [0, 0, -1]}, {"file": "b.png", "camera": [0, 0, -1], "light_intensity": 2},
+                   {"file": "c.png", "camera": [0, 0, 1], "camera": [0, 0, 2], "lite": 1}]}"#;
+    let message = message(json_folder(text).path());
+    assert_mentions(
+        &message,
+        &[
+            "patch_size missing",
+            "patchsize unknown, expected",
+            "transfer: unknown variant `Adobe`",
+            "white_level: expected a finite number above 0",
+            "unit: invalid type",
+            "photos[0].camera: invalid length 2",
+            "photos[1].file missing",
+            "b.png: camera [0.0, 0.0, -1.0] lies behind",
+            "photos[3].camera given twice",
+            "photos[3].lite unknown",
+            "light_intensity missing, for the capture and for photo c.png",
+        ],
+    );
+    let many = json("", &format!("[{}]", vec!["{}"; 50].join(",")));
+    let message = self::message(json_folder(&many).path());
+    assert!(
+        message.contains("photos[0].file missing; photos[0].camera missing;") && message.ends_with("and 80 more"),
+        "{message}"
+    );
+
+    // Of a folder of the literature, too.
+    let dir = folder();
+    for file in ["light_pos.txt", "light_power.txt"] {
+        fs::remove_file(dir.path().join(file)).unwrap();
+    }
+    assert_mentions(
+        &self::message(dir.path()),
+        &["No such file", "light_pos.txt, light_power.txt", "docs/captures.md"],
+    );
+}
+
+#[test]
+fn one_number_is_a_white_light() {
+    let photos = r#"[{"file": "a.png", "camera": [0, 0, 20]}, {"file": "sub/b.png", "camera": [1, 0, 20], "light_intensity": 2.5}]"#;
+    let text = json("", photos).replace("[3, 2, 1]", "1200");
+    let capture = Capture::open(json_folder(&text).path()).unwrap();
+    let intensities: Vec<_> = capture.photos().iter().map(|photo| photo.shot.light_intensity).collect();
+    assert_eq!(intensities, [[1200.0; 3], [2.5; 3]]);
+    for (wrong, got) in [("\"bright\"", "bright"), ("[1, 2]", "[1,2]"), ("-3", "[-3.0, -3.0, -3.0]")] {
+        let text = json("", ONE_PHOTO).replace("[3, 2, 1]", wrong);
+        assert_mentions(&message(json_folder(&text).path()), &["light_intensity", got]);
+    }
+}
+
+#[test]
 fn photos_in_memory() {
     let shot = Shot { camera: [0.0, 0.0, 2.0], light: [0.0, 0.0, 2.0], light_intensity: [1.0; 3] };
     let photo = |samples, channels| PhotoPixels { name: "p", shot, width: 2, height: 1, channels, samples };
@@ -288,6 +341,17 @@ fn photos_in_memory() {
         assert_mentions(&error.to_string(), &["p", &format!("{} values", samples.len())]);
     }
     assert!(open(&[], None).is_err());
+    // Floats of 0 to 255 that are said to be encoded; linear ones have no upper end, alpha is nobody's business.
+    let codes = [8.5f32, 255.0, 1.0, 0.5, 0.5, 0.5];
+    for transfer in [Transfer::Srgb, Transfer::Gamma22] {
+        let floats = |values, channels| {
+            Capture::from_photos(&[photo(values, channels)], 1.0, transfer, None, &CaptureOptions::new())
+        };
+        let error = floats(Samples::F32(&codes), 3).unwrap_err().to_string();
+        assert_mentions(&error, &["p: ", transfer.name(), "at most 8, got up to 255", "divide"]);
+        assert!(floats(Samples::F32(&[8.0, 255.0, 0.5, 255.0]), 2).is_ok());
+    }
+    assert!(open(&[photo(Samples::F32(&codes), 3)], None).is_ok());
     let mut behind = photo(Samples::U8(&[0; 6]), 3);
     behind.shot.light[2] = -1.0;
     assert_mentions(&open(&[behind], None).unwrap_err().to_string(), &["p", "light", "-1"]);

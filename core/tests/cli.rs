@@ -358,3 +358,98 @@ fn outputs_spare_what_is_not_theirs() {
     let info = json(&run(&["info", text(&maps), "--json"]));
     assert!(info["warnings"][0].as_str().unwrap().contains("diffuse.exr"), "{info}");
 }
+
+/// What is given in place of what is wanted is called what it is, with what to do and where that is described.
+#[test]
+fn what_was_given_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let photos = at("photos");
+    std::fs::create_dir(&photos).unwrap();
+    for name in ["a.jpg", "b.jpg"] {
+        let image = svbrdf_gcn::Image::new(4, 3, 3, vec![0.5; 36]).unwrap();
+        svbrdf_gcn::io::write_image(photos.join(name), &image, svbrdf_gcn::Transfer::Srgb).unwrap();
+    }
+    let (a, b, out) = (photos.join("a.jpg"), photos.join("b.jpg"), at("out"));
+    let (a, b, photos, out) = (text(&a), text(&b), text(&photos), text(&out));
+    let capture = samples("lambert");
+    let (capture, truth) = (text(&capture), samples("lambert/truth"));
+    let truth = text(&truth);
+    let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/default.safetensors");
+    let view = ["--camera", "0,0,9", "--light", "0,0,9", "-o", out];
+    let cases: [(Vec<&str>, i32, &[&str]); 13] = [
+        (vec!["info", a], 3, &["a.jpg", "a JPEG image of 4 x 3 pixels", "weights file", "docs/captures.md"]),
+        (vec!["info", photos], 3, &["a folder with 2 images", "docs/materials.md"]),
+        (vec!["info", capture], 3, &["the folder of a capture", "fit"]),
+        (
+            vec!["fit", a, "-o", out],
+            3,
+            &["a.jpg", "a JPEG image of 4 x 3 pixels", "camera and light", "docs/captures.md"],
+        ),
+        (vec!["fit", photos, "-o", out], 3, &["a folder with 2 images and no capture.json", "docs/captures.md"]),
+        (vec!["fit", truth, "-o", out], 3, &["the folder of a material", "docs/captures.md"]),
+        (vec!["fit", text(&weights), "-o", out], 3, &["a weights file", "docs/captures.md"]),
+        (
+            vec!["fit", a, b, "-o", out],
+            2,
+            &["capture: expected one", "got 2", "a.jpg (a JPEG image", "b.jpg", "docs/captures.md"],
+        ),
+        (vec!["evaluate", truth, a, b], 2, &["capture: expected one", "got 2", "docs/captures.md"]),
+        ([&["render", a], &view[..]].concat(), 3, &["a JPEG image", "material.json", "docs/materials.md"]),
+        (
+            [&["render", truth], &view[..], &["--light-intensity", "-1,1,1"]].concat(),
+            2,
+            &["light_intensity", "0 or more", "-1"],
+        ),
+        (vec!["render", truth, "--camera", "0,0,-9", "--light", "0,0,9", "-o", out], 2, &["camera", "-9", "above 0"]),
+        (vec!["render", truth, "--camera", "0,0,9", "--light", "1,1,0", "-o", out], 2, &["light", "above 0, got 0"]),
+    ];
+    for (arguments, code, parts) in cases {
+        let output = run(&arguments);
+        let message = stderr(&output);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+        assert!(message.starts_with("error: ") && message.trim_end().lines().count() == 1, "{message}");
+        for part in parts {
+            assert!(message.contains(part), "{arguments:?}: no {part:?} in {message}");
+        }
+        assert!(!Path::new(out).exists(), "{arguments:?}");
+    }
+    let picture = at("picture.png");
+    let larger =
+        run(&["render", truth, "--camera", "0,0,9", "--light", "0,0,9", "--size", "4096", "-o", text(&picture)]);
+    assert!(larger.status.success() && stderr(&larger).contains("4096") && stderr(&larger).contains("not enlarged"));
+}
+
+/// Names that would steer a terminal are shown escaped, on either stream.
+#[cfg(unix)]
+#[test]
+fn names_do_not_steer_the_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let evil = "evil\u{1b}]0;owned\u{7}\n\u{202e}";
+    let capture = folder.path().join("capture");
+    std::fs::create_dir(&capture).unwrap();
+    for file in std::fs::read_dir(samples("lambert")).unwrap().flatten().filter(|file| file.path().is_file()) {
+        std::fs::copy(file.path(), capture.join(file.file_name())).unwrap();
+    }
+    let json_file = capture.join("capture.json");
+    let description: Value = serde_json::from_slice(&std::fs::read(&json_file).unwrap()).unwrap();
+    let name = description["photos"][0]["file"].as_str().unwrap();
+    std::fs::rename(capture.join(name), capture.join(format!("{evil}{name}"))).unwrap();
+    let mut renamed = description.clone();
+    renamed["photos"][0]["file"] = format!("{evil}{name}").into();
+    std::fs::write(&json_file, renamed.to_string()).unwrap();
+    let truth = samples("lambert/truth");
+    let out = folder.path().join(evil);
+    let evaluate = run(&["evaluate", text(&truth), text(&capture)]);
+    assert!(evaluate.status.success(), "{}", stderr(&evaluate));
+    let missing = run(&["evaluate", text(&out), text(&capture)]);
+    let misused = run(&["evaluate", text(&out), text(&capture), &format!("--{evil}")]);
+    let fit = run(&["fit", text(&capture), "-o", text(&out), "--size", "8", "--preset", "draft"]);
+    assert!(fit.status.success(), "{}", stderr(&fit));
+    assert_eq!((missing.status.code(), misused.status.code()), (Some(3), Some(2)));
+    for output in [evaluate, missing, misused, fit] {
+        let said = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
+        assert!(said.contains("evil\\u{1b}]0;owned\\u{7}\\n\\u{202e}"), "{said:?}");
+        assert!(!said.chars().any(|c| c.is_control() && c != '\n' || c == '\u{202e}'), "{said:?}");
+    }
+}

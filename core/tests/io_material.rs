@@ -366,12 +366,15 @@ fn a_load_that_may_not_write_reads_the_right_files() {
 }
 
 #[test]
-fn values_out_of_range_are_limited_when_written() {
+fn values_out_of_range_by_rounding_are_limited_when_written_and_others_refused() {
     let dir = TempDir::new().unwrap();
     let mut material = material(Lobe::Isotropic);
     material.diffuse_albedo.data_mut()[..2].copy_from_slice(&[1.5, -0.5]);
+    let refused = material.save(dir.path(), &SaveOptions::default()).unwrap_err().to_string();
+    assert!(refused.contains("diffuse_albedo") && names(dir.path()).is_empty(), "{refused}");
+    material.diffuse_albedo.data_mut()[..2].copy_from_slice(&[1.0009, -0.0009]);
     for value in &mut material.normal.data_mut()[..3] {
-        *value *= 3.0;
+        *value *= 1.09;
     }
     material.save(dir.path(), &SaveOptions::new(MaterialFormat::Tiff)).unwrap();
     let back = Material::load(dir.path()).unwrap();

@@ -5,8 +5,8 @@
 use std::path::PathBuf;
 
 use svbrdf_gcn::metrics::photo_rmse;
-use svbrdf_gcn::render::render;
-use svbrdf_gcn::{Capture, Material};
+use svbrdf_gcn::render::{render, render_photo};
+use svbrdf_gcn::{Capture, CaptureOptions, Material, Unit};
 
 fn sample(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../samples").join(name)
@@ -40,4 +40,38 @@ fn lambertian_radiance_has_the_stated_unit() {
             assert!((got / expected - 1.0).abs() < 0.01, "{}: {got} instead of {expected}", photo.name);
         }
     }
+}
+
+/// A material that states another unit is as good as the one in the capture's; one of another patch is not silently judged by it.
+#[test]
+fn errors_of_photos_in_other_units() {
+    let capture = Capture::open_with(sample("tiles"), &CaptureOptions::new().size(64).views([0])).unwrap();
+    let truth = Material::load(sample("tiles/truth")).unwrap().resized(64).unwrap();
+    let with =
+        |patch_size: f64, unit: Option<&str>| Material { patch_size, unit: unit.map(Unit::new), ..truth.clone() };
+    let rendered = |material: &Material| render_photo(material, &capture, 0);
+    assert_eq!(capture.unit(), Some(&Unit::new("cm")));
+    assert_eq!(capture.patch_size(), 10.0);
+    let expected = render(&with(10.0, None), &capture.photos()[0].shot).unwrap();
+    for (patch_size, unit) in [
+        (10.0, Some("cm")),
+        (100.0, Some("mm")),
+        (0.1, Some("m")),
+        (3.937, Some("in")),
+        (10.0, None),
+        (10.009, Some("cm")),
+    ] {
+        assert_eq!(rendered(&with(patch_size, unit)).unwrap(), expected, "{patch_size} {unit:?}");
+    }
+    for (patch_size, unit, told) in [
+        (10.0, Some("mm"), "10 mm"),
+        (9.7, Some("cm"), "9.7 cm"),
+        (1.0, None, "1 (no unit stated)"),
+        (10.0, Some("halves"), "10 halves"),
+    ] {
+        let message = rendered(&with(patch_size, unit)).unwrap_err().to_string();
+        let expected = format!("patch_size: the capture's patch is 10 cm wide, the material's {told}");
+        assert!(message.starts_with(&expected), "{message}");
+    }
+    assert!(render_photo(&truth, &capture, 1).unwrap_err().to_string().contains("photo 1 of a capture of 1"));
 }

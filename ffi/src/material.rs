@@ -6,7 +6,7 @@ use serde_json::Value;
 use svbrdf_gcn::io::material::{read_deviations, read_report};
 use svbrdf_gcn::metrics::photo_rmse;
 use svbrdf_gcn::nn::Model;
-use svbrdf_gcn::render::render;
+use svbrdf_gcn::render::{render, render_photo};
 use svbrdf_gcn::{Deviations, Fit, Image, Material, fit_material};
 
 use crate::capture::svbrdf_gcn_capture;
@@ -277,7 +277,8 @@ pub unsafe extern "C" fn svbrdf_gcn_material_render(
 }
 
 /// How far the material, rendered as photo `index` (from 0) of `capture` was taken, is from the photo: root mean square error of values encoded with gamma
-/// 2.2 and clamped to 0 to 1. The maps must have the size of the photos.
+/// 2.2 and clamped to 0 to 1. The maps must have the size of the photos and show the same patch: widths in known units (mm, cm, m, in) are converted; where a unit is not
+/// stated the numbers must agree. Else it is `SVBRDF_GCN_ERR_INVALID_ARGUMENT`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn svbrdf_gcn_photo_rmse(
     material: *const svbrdf_gcn_material,
@@ -290,9 +291,9 @@ pub unsafe extern "C" fn svbrdf_gcn_photo_rmse(
             return Err(Failure::null("out"));
         }
         // SAFETY: NULL or living handles, says the caller.
-        let (material, photo) =
-            unsafe { (&borrow("material", material)?.material, borrow("capture", capture)?.photo(index)?) };
-        let rmse = render(material, &photo.shot).and_then(|image| photo_rmse(&image, &photo.image))?;
+        let (material, capture) = unsafe { (&borrow("material", material)?.material, borrow("capture", capture)?) };
+        let photo = capture.photo(index)?;
+        let rmse = photo_rmse(&render_photo(material, capture.capture()?, index)?, &photo.image)?;
         // SAFETY: not NULL.
         unsafe { out.write(rmse) };
         Ok(())

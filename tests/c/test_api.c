@@ -379,6 +379,22 @@ static svbrdf_gcn_image_view pixels_of(const void *data, int32_t type, size_t wi
     return view;
 }
 
+/* A material is judged by photos of its own patch alone. */
+static void other_patches(const svbrdf_gcn_material *material) {
+    static const uint8_t grey[3] = {128, 128, 128};
+    svbrdf_gcn_image_view pixels = pixels_of(grey, SVBRDF_GCN_PIXEL_UINT8, 1, 1, 3);
+    svbrdf_gcn_capture *capture = host_capture(SVBRDF_GCN_TRANSFER_SRGB, 3.0);
+    svbrdf_gcn_shot shot;
+    double rmse = -1;
+    OK(svbrdf_gcn_shot_init(&shot, sizeof shot));
+    shot.camera[2] = shot.light[2] = 9;
+    shot.light_intensity[0] = shot.light_intensity[1] = shot.light_intensity[2] = 100;
+    OK(svbrdf_gcn_capture_add_photo(capture, &pixels, &shot));
+    FAILS(svbrdf_gcn_photo_rmse(material, capture, 0, &rmse), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "the capture's patch is 3 (no unit stated) wide, the material's 10 cm");
+    CHECK(rmse == -1);
+    svbrdf_gcn_capture_destroy(capture);
+}
+
 static svbrdf_gcn_image_view photo(const svbrdf_gcn_capture *capture, size_t index) {
     svbrdf_gcn_image_view view;
     OK(svbrdf_gcn_image_view_init(&view, sizeof view));
@@ -878,6 +894,10 @@ static void known_material(const svbrdf_gcn_capture *shots) {
             buffer.height++;
             buffer.pixel_type = SVBRDF_GCN_PIXEL_UINT8;
             FAILS(svbrdf_gcn_material_render(truth, &shot, &buffer), SVBRDF_GCN_ERR_FORMAT, "float or half");
+            buffer.pixel_type = SVBRDF_GCN_PIXEL_FLOAT;
+            shot.camera[2] = -shot.camera[2];
+            FAILS(svbrdf_gcn_material_render(truth, &shot, &buffer), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "camera");
+            shot.camera[2] = -shot.camera[2];
         }
         for (j = 0; j < width * height * 3; j++) {
             bytes[j] = (uint8_t)(255.0 * pow(fmin(1.0, rendering[j]), 1 / 2.2) + 0.5);
@@ -956,6 +976,7 @@ int main(int argc, char **argv) {
     folder_fit(capture, material);
     files(material, capture);
     exports(material);
+    other_patches(material);
     color_spaces(material);
     layouts();
     bad_photos(capture);

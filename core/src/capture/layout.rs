@@ -4,18 +4,25 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+use serde::de::{DeserializeOwned, IgnoredAny};
+use serde_json::Value;
 
-use super::Shot;
+use super::{Shot, check_patch_size, check_white_level};
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
+use crate::io::describe::{CAMERA_POSITIONS, CAPTURE_JSON, describe, is_photo};
 use crate::io::read_file;
 use crate::unit::Unit;
 
 /// The largest text or JSON file of a capture, in bytes.
 const MAX_TEXT_BYTES: u64 = 16 << 20;
 
-/// The extensions of photos in a folder of numbered photos.
-const PHOTO_EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "tif", "tiff", "exr"];
+/// What a capture is, for those who gave something else.
+const HINT: &str = "a capture is a folder with a capture.json, or with camera_pos.txt and the like, or a JSON file: it also says where camera and light \
+    stood for each photo, see docs/captures.md";
+
+/// What a folder in MaterialGAN's layout holds beside [`CAMERA_POSITIONS`] and photos.
+const FOLDER_FILES: [&str; 3] = ["light_pos.txt", "image_size.txt", "light_power.txt"];
 
 /// A capture before its photos are read.
 pub(super) struct Layout {
@@ -43,16 +50,13 @@ impl Layout {
         if !metadata.is_dir() {
             return Self::from_json(path);
         }
-        let json = path.join("capture.json");
+        let json = path.join(CAPTURE_JSON);
         if json.exists() {
             Self::from_json(&json)
-        } else if path.join("camera_pos.txt").exists() {
+        } else if path.join(CAMERA_POSITIONS).exists() {
             Self::from_folder(path)
         } else {
-            Err(Error::UnsupportedFormat {
-                name: path.display().to_string(),
-                got: "a folder without capture.json and without camera_pos.txt".to_owned(),
-            })
+            Err(unsupported(path, format!("{}: {HINT}", describe(path))))
         }
     }
 
@@ -62,28 +66,32 @@ impl Layout {
         struct Head {
             format: Option<String>,
             version: Option<u64>,
-            target_dir: Option<serde::de::IgnoredAny>,
+            target_dir: Option<IgnoredAny>,
         }
-        let text = read_text(path)?;
+        let bytes = read_file(path, MAX_TEXT_BYTES)?;
+        // JSON of other programs begins as ours does; what does not is something else altogether.
+        let begins =
+            String::from_utf8_lossy(&bytes).trim_start_matches('\u{feff}').trim_start().starts_with(['{', '[']);
+        if !bytes.is_empty() && !begins {
+            return Err(unsupported(path, format!("{}: {HINT}", describe(path))));
+        }
+        let text = as_text(path, bytes)?;
         let head: Head = parse_json(path, &text)?;
         match (head.format.as_deref(), head.version) {
-            (Some(CaptureFile::FORMAT), Some(CaptureFile::VERSION)) => {
-                parse_json::<CaptureFile>(path, &text)?.into_layout(path)
-            }
-            (Some(CaptureFile::FORMAT), version) => Err(unsupported(
+            (Some(FORMAT), Some(VERSION)) => read_capture_json(path, &text),
+            (Some(FORMAT), version) => Err(unsupported(
                 path,
                 format!(
                     "version {}; this release reads version 1",
                     version.map_or("missing".to_owned(), |v| v.to_string())
                 ),
             )),
-            (None, _) if head.target_dir.is_some() => parse_json::<DiffRendererFile>(path, &text)?.into_layout(path),
+            (None, _) if head.target_dir.is_some() => read_diff_renderer(path, &text),
             (format, _) => Err(unsupported(
                 path,
                 format!(
-                    "format {:?}; read are {:?} and svbrdf-diff-renderer's files, which have a target_dir",
+                    "format {:?}; read are {FORMAT:?} and svbrdf-diff-renderer's files, which have a target_dir; see docs/captures.md",
                     format.unwrap_or("missing"),
-                    CaptureFile::FORMAT
                 ),
             )),
         }
@@ -97,7 +105,13 @@ impl Layout {
 
     /// The folder of MaterialGAN and the paper: numbered photos and four text files.
     fn from_folder(folder: &Path) -> Result<Self> {
-        let cameras = read_rows(&folder.join("camera_pos.txt"))?;
+        let missing: Vec<&str> = FOLDER_FILES.into_iter().filter(|file| !folder.join(file).exists()).collect();
+        if !missing.is_empty() {
+            let reason =
+                format!("No such file beside {CAMERA_POSITIONS}: {}; see docs/captures.md", missing.join(", "));
+            return Err(Error::io(folder, std::io::Error::new(std::io::ErrorKind::NotFound, reason)));
+        }
+        let cameras = read_rows(&folder.join(CAMERA_POSITIONS))?;
         let light_path = folder.join("light_pos.txt");
         let lights = read_rows(&light_path)?;
         same_count(&light_path, lights.len(), "positions", "camera_pos.txt", cameras.len())?;
@@ -145,95 +159,210 @@ impl Layout {
 }
 
 /// `capture.json`, described in `docs/captures.md`.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CaptureFile {
-    #[serde(rename = "format")]
-    _format: String,
-    #[serde(rename = "version")]
-    _version: u64,
-    patch_size: f64,
-    transfer: Transfer,
-    color_space: Option<ColorSpace>,
-    light_intensity: Option<[f64; 3]>,
-    unit: Option<Unit>,
-    white_level: Option<f32>,
-    photos: Vec<PhotoEntry>,
-    #[serde(rename = "notes")]
-    _notes: Option<serde::de::IgnoredAny>,
-}
+const FORMAT: &str = "svbrdf-gcn capture";
+const VERSION: u64 = 1;
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PhotoEntry {
-    file: String,
-    camera: [f64; 3],
-    light: Option<[f64; 3]>,
-    light_intensity: Option<[f64; 3]>,
-}
+/// Reads a `capture.json`. All that is missing or wrong in it is told in one error.
+fn read_capture_json(path: &Path, text: &str) -> Result<Layout> {
+    let mut problems = Problems::default();
+    let mut capture = Fields::new("", parse_json(path, text)?);
+    for read_before in ["format", "version", "notes"] {
+        capture.take::<IgnoredAny>(read_before, &mut problems);
+    }
+    let patch_size = capture.need("patch_size", &mut problems);
+    let transfer = capture.need("transfer", &mut problems);
+    let color_space = capture.take("color_space", &mut problems);
+    let unit = capture.take("unit", &mut problems);
+    let white_level = capture.take("white_level", &mut problems);
+    let light_intensity = capture.take::<Intensity>("light_intensity", &mut problems);
+    let is_there = capture.need::<IgnoredAny>("photos", &mut problems).is_some();
+    // From the text again, where fields that are given twice are still there.
+    let photos = is_there.then(|| parse_json::<Photos>(path, text)).transpose();
+    let photos = problems.note(photos).flatten().map_or_else(Vec::new, |found| found.photos);
+    capture.expect_no_more(&mut problems);
+    if let Some(patch_size) = patch_size {
+        problems.note(check_patch_size(patch_size));
+    }
+    problems.note(check_white_level(white_level));
 
-impl CaptureFile {
-    const FORMAT: &str = "svbrdf-gcn capture";
-    const VERSION: u64 = 1;
-
-    fn into_layout(self, path: &Path) -> Result<Layout> {
-        let folder = folder_of(path);
-        let entries = self
-            .photos
-            .into_iter()
-            .map(|photo| {
-                let Some(light_intensity) = photo.light_intensity.or(self.light_intensity) else {
-                    let reason = format!("light_intensity missing, for the capture and for photo {}", photo.file);
-                    return Err(Error::invalid(name_of(path), reason));
-                };
-                let shot = Shot { camera: photo.camera, light: photo.light.unwrap_or(photo.camera), light_intensity };
-                Ok(Entry { path: folder.join(&photo.file), name: photo.file, shot })
-            })
-            .collect::<Result<_>>()?;
-        Ok(Layout {
-            entries,
-            patch_size: self.patch_size,
-            transfer: self.transfer,
-            implied: false,
-            color_space: self.color_space,
-            unit: self.unit,
-            white_level: self.white_level,
-        })
+    let folder = folder_of(path);
+    let mut entries = Vec::new();
+    for (index, object) in photos.into_iter().enumerate() {
+        let mut photo = Fields::new(format!("photos[{index}]."), object);
+        let name: Option<String> = photo.need("file", &mut problems);
+        let camera = photo.need("camera", &mut problems);
+        let light = photo.take("light", &mut problems);
+        let own = photo.take::<Intensity>("light_intensity", &mut problems).or(light_intensity);
+        photo.expect_no_more(&mut problems);
+        let (Some(name), Some(camera)) = (name, camera) else { continue };
+        let Some(Intensity(light_intensity)) = own else {
+            problems.add(format!("light_intensity missing, for the capture and for photo {name}"));
+            continue;
+        };
+        let shot = Shot { camera, light: light.unwrap_or(camera), light_intensity };
+        problems.note(shot.check(&name));
+        entries.push(Entry { path: folder.join(&name), name, shot });
+    }
+    match (patch_size, transfer, problems.into_reason()) {
+        (Some(patch_size), Some(transfer), None) => {
+            Ok(Layout { entries, patch_size, transfer, implied: false, color_space, unit, white_level })
+        }
+        (_, _, reason) => Err(Error::invalid(name_of(path), reason.unwrap_or_default())),
     }
 }
 
-/// A JSON file of svbrdf-diff-renderer. Photo k of `idx` is `target_dir/kk.png` (two digits), relative to the file; `idx` also picks from the
+/// Reads a JSON file of svbrdf-diff-renderer. Photo k of `idx` is `target_dir/kk.png` (two digits), relative to the file; `idx` also picks from the
 /// lists of positions. Other fields name folders of that program.
-#[derive(Deserialize)]
-struct DiffRendererFile {
-    im_size: f64,
-    idx: Vec<usize>,
-    camera_pos: Vec<[f64; 3]>,
-    light_pos: Vec<[f64; 3]>,
-    light_pow: [f64; 3],
-    target_dir: String,
+fn read_diff_renderer(path: &Path, text: &str) -> Result<Layout> {
+    let mut problems = Problems::default();
+    let mut file = Fields::new("", parse_json(path, text)?);
+    let patch_size = file.need("im_size", &mut problems);
+    let indices: Option<Vec<usize>> = file.need("idx", &mut problems);
+    let cameras: Option<Vec<[f64; 3]>> = file.need("camera_pos", &mut problems);
+    let lights: Option<Vec<[f64; 3]>> = file.need("light_pos", &mut problems);
+    let light_intensity = file.need("light_pow", &mut problems);
+    let target: Option<String> = file.need("target_dir", &mut problems);
+    let all = (patch_size, indices, cameras, lights, light_intensity, target, problems.into_reason());
+    let (Some(patch_size), Some(indices), Some(cameras), Some(lights), Some(light_intensity), Some(target), None) = all
+    else {
+        return Err(Error::invalid(name_of(path), all.6.unwrap_or_default()));
+    };
+    same_count(path, lights.len(), "entries of light_pos", "camera_pos", cameras.len())?;
+    let folder = folder_of(path).join(target);
+    let entries = indices
+        .into_iter()
+        .map(|index| match (cameras.get(index), lights.get(index)) {
+            (Some(&camera), Some(&light)) => {
+                let name = format!("{index:02}.png");
+                Ok(Entry { path: folder.join(&name), name, shot: Shot { camera, light, light_intensity } })
+            }
+            _ => Err(Error::invalid(
+                name_of(path),
+                format!("idx {index}, but camera_pos has {} positions", cameras.len()),
+            )),
+        })
+        .collect::<Result<_>>()?;
+    Ok(Layout::gamma22(entries, patch_size))
 }
 
-impl DiffRendererFile {
-    fn into_layout(self, path: &Path) -> Result<Layout> {
-        same_count(path, self.light_pos.len(), "entries of light_pos", "camera_pos", self.camera_pos.len())?;
-        let folder = folder_of(path).join(&self.target_dir);
-        let entries = self
-            .idx
-            .iter()
-            .map(|&index| match (self.camera_pos.get(index), self.light_pos.get(index)) {
-                (Some(&camera), Some(&light)) => {
-                    let name = format!("{index:02}.png");
-                    let shot = Shot { camera, light, light_intensity: self.light_pow };
-                    Ok(Entry { path: folder.join(&name), name, shot })
+#[derive(Deserialize)]
+struct Photos {
+    photos: Vec<Object>,
+}
+
+/// Intensity of a light: one number for all channels, or three.
+#[derive(Clone, Copy)]
+struct Intensity([f64; 3]);
+
+impl<'de> Deserialize<'de> for Intensity {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        let value = Value::deserialize(deserializer)?;
+        if let Some(number) = value.as_f64() {
+            return Ok(Self([number; 3]));
+        }
+        let got = value.to_string();
+        serde_json::from_value(value)
+            .map(Self)
+            .map_err(|_| serde::de::Error::custom(format!("expected one number or three in brackets, got {got}")))
+    }
+}
+
+/// All that is wrong with a file, so that it is told at once.
+#[derive(Default)]
+struct Problems(Vec<String>);
+
+impl Problems {
+    /// As many are told.
+    const MAX: usize = 20;
+
+    fn add(&mut self, problem: String) {
+        self.0.push(problem);
+    }
+
+    /// The value, or none where there is an error instead.
+    fn note<T>(&mut self, result: Result<T>) -> Option<T> {
+        result.map_err(|error| self.add(error.to_string())).ok()
+    }
+
+    fn into_reason(mut self) -> Option<String> {
+        let more = self.0.len().saturating_sub(Self::MAX);
+        self.0.truncate(Self::MAX);
+        if more > 0 {
+            self.0.push(format!("and {more} more"));
+        }
+        (!self.0.is_empty()).then(|| self.0.join("; "))
+    }
+}
+
+/// The fields of a JSON object, taken one by one.
+struct Fields {
+    /// What stands before their names in messages.
+    place: String,
+    left: Vec<(String, Value)>,
+    known: Vec<&'static str>,
+}
+
+impl Fields {
+    fn new(place: impl Into<String>, object: Object) -> Self {
+        Self { place: place.into(), left: object.0, known: Vec::new() }
+    }
+
+    /// The value of a field; none if it is not there or null.
+    fn take<T: DeserializeOwned>(&mut self, name: &'static str, problems: &mut Problems) -> Option<T> {
+        self.known.push(name);
+        let at = self.left.iter().position(|(key, _)| key == name)?;
+        let (_, value) = self.left.remove(at);
+        if value.is_null() {
+            return None;
+        }
+        let parsed = serde_json::from_value(value);
+        parsed.map_err(|error| problems.add(format!("{}{name}: {error}", self.place))).ok()
+    }
+
+    /// [`Fields::take`] of a field that has to be there.
+    fn need<T: DeserializeOwned>(&mut self, name: &'static str, problems: &mut Problems) -> Option<T> {
+        if !self.left.iter().any(|(key, value)| key == name && !value.is_null()) {
+            problems.add(format!("{}{name} missing", self.place));
+        }
+        self.take(name, problems)
+    }
+
+    /// What is left is unknown, or there twice.
+    fn expect_no_more(self, problems: &mut Problems) {
+        for (name, _) in self.left {
+            problems.add(if self.known.contains(&name.as_str()) {
+                format!("{}{name} given twice", self.place)
+            } else {
+                format!("{}{name} unknown, expected {}", self.place, self.known.join(", "))
+            });
+        }
+    }
+}
+
+/// The fields of a JSON object in their order, with those that are given twice.
+struct Object(Vec<(String, Value)>);
+
+impl<'de> Deserialize<'de> for Object {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        struct Visitor;
+
+        impl<'de> serde::de::Visitor<'de> for Visitor {
+            type Value = Object;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("an object")
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> std::result::Result<Object, A::Error> {
+                let mut fields = Vec::new();
+                while let Some(field) = map.next_entry()? {
+                    fields.push(field);
                 }
-                _ => Err(Error::invalid(
-                    name_of(path),
-                    format!("idx {index}, but camera_pos has {} positions", self.camera_pos.len()),
-                )),
-            })
-            .collect::<Result<_>>()?;
-        Ok(Layout::gamma22(entries, self.im_size))
+                Ok(Object(fields))
+            }
+        }
+
+        deserializer.deserialize_map(Visitor)
     }
 }
 
@@ -250,7 +379,10 @@ fn unsupported(path: &Path, got: String) -> Error {
 }
 
 fn read_text(path: &Path) -> Result<String> {
-    let bytes = read_file(path, MAX_TEXT_BYTES)?;
+    as_text(path, read_file(path, MAX_TEXT_BYTES)?)
+}
+
+fn as_text(path: &Path, bytes: Vec<u8>) -> Result<String> {
     let text = String::from_utf8(bytes).map_err(|_| unsupported(path, "text that is not UTF-8".to_owned()))?;
     Ok(text.trim_start_matches('\u{feff}').to_owned())
 }
@@ -301,9 +433,8 @@ fn numbered_photos(folder: &Path) -> Result<BTreeMap<usize, String>> {
     for entry in std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))? {
         let name = entry.map_err(|e| Error::io(folder, e))?.file_name();
         let Some(name) = name.to_str() else { continue };
-        let Some((stem, extension)) = name.rsplit_once('.') else { continue };
-        let is_photo = PHOTO_EXTENSIONS.contains(&extension.to_lowercase().as_str());
-        if !is_photo || stem.is_empty() || !stem.bytes().all(|byte| byte.is_ascii_digit()) {
+        let Some((stem, _)) = name.rsplit_once('.') else { continue };
+        if !is_photo(name.as_ref()) || stem.is_empty() || !stem.bytes().all(|byte| byte.is_ascii_digit()) {
             continue;
         }
         let Ok(number) = stem.parse() else { continue };

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use crate::color::{ColorSpace, Transfer, apply_to_image};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use crate::image::Image;
 use crate::io::profile::{Decoding, FileColors, Stated};
 use crate::io::resize::{fit_size, shrink};
@@ -32,20 +32,23 @@ pub struct Shot {
 }
 
 impl Shot {
+    /// What cannot be a position of camera or light in front of the sample: the field, and why.
+    pub(crate) fn misplaced(&self) -> Option<(&'static str, String)> {
+        [("camera", self.camera), ("light", self.light)].into_iter().find_map(|(field, position)| {
+            if !position.iter().all(|v| v.is_finite()) {
+                return Some((field, format!("{position:?} is not finite")));
+            }
+            let behind = format!("{position:?} lies behind the sample: z must be above 0, got {}", position[2]);
+            (position[2] <= 0.0).then_some((field, behind))
+        })
+    }
+
     /// # Errors
     /// [`Error::InvalidArgument`] naming `photo` and the field, for a position that is not finite or not in front of the sample, or
     /// an intensity that is negative, zero in all channels, or not finite.
     fn check(&self, photo: &str) -> Result<()> {
-        for (field, position) in [("camera", self.camera), ("light", self.light)] {
-            if !position.iter().all(|v| v.is_finite()) {
-                return Err(Error::invalid(photo, format!("{field} {position:?} is not finite")));
-            }
-            if position[2] <= 0.0 {
-                return Err(Error::invalid(
-                    photo,
-                    format!("{field} {position:?} lies behind the sample: z must be above 0, got {}", position[2]),
-                ));
-            }
+        if let Some((field, reason)) = self.misplaced() {
+            return Err(Error::invalid(photo, format!("{field} {reason}")));
         }
         let intensity = self.light_intensity;
         if !intensity.iter().all(|v| v.is_finite() && *v >= 0.0) || intensity == [0.0; 3] {
@@ -420,7 +423,7 @@ impl Capture {
                 .filter(|photo| photo.notes.contains(note))
                 .map(|photo| photo.photo.name.as_str())
                 .collect();
-            warnings.push(format!("{}: {note}", names.join(", ")));
+            warnings.push(printable(format_args!("{}: {note}", names.join(", "))));
         }
         let photos = loaded.into_iter().map(|loaded| loaded.photo).collect();
         Ok(Self { photos, patch_size, transfer, unit, warnings })
@@ -540,6 +543,7 @@ fn develop(
     let (decoding, note) = Decoding::new(stated, colors, pixels.colors())
         .map_err(|got| Error::UnsupportedFormat { name: name.to_owned(), got })?;
     notes.extend(note);
+    check_encoded(name, pixels, stated.transfer)?;
     let light_intensity = stated.color_space.unwrap_or_default().convert(ColorSpace::Rec709, shot.light_intensity);
     let shot = Shot { light_intensity, ..shot };
     shot.check(name)?;
@@ -598,6 +602,30 @@ fn check_white_level(white_level: Option<f32>) -> Result<()> {
         }
         _ => Ok(()),
     }
+}
+
+/// Floats up to here are believed to be encoded values of which 1 is white; what is above was never divided by its largest code.
+const MAX_ENCODED: f32 = 8.0;
+
+/// Fails for floats that stand for codes and not for encoded values. Linear floats have no upper end.
+fn check_encoded(name: &str, pixels: Pixels<'_>, transfer: Transfer) -> Result<()> {
+    let Samples::F32(values) = pixels.samples else { return Ok(()) };
+    if transfer == Transfer::Linear {
+        return Ok(());
+    }
+    let colors = values.chunks_exact(pixels.channels).flat_map(|pixel| &pixel[..pixels.colors()]);
+    let largest = colors.copied().filter(|value| value.is_finite()).fold(0.0, f32::max);
+    if largest <= MAX_ENCODED {
+        return Ok(());
+    }
+    let (transfer, advice) =
+        (transfer.name(), "divide by the largest code, 255 or 65535, or state that they are linear");
+    Err(Error::invalid(
+        name,
+        format!(
+            "expected floats of which 1 is white in {transfer}, at most {MAX_ENCODED}, got up to {largest}: {advice}"
+        ),
+    ))
 }
 
 /// `values` is checked for NaN and infinity; `row` is the length of a row in values.

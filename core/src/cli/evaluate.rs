@@ -6,10 +6,9 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{CaptureArgs, load_material, say, say_json};
-use crate::capture::Capture;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use crate::metrics::{MapErrors, photo_rmse};
-use crate::render::render;
+use crate::render::render_photo;
 
 #[derive(Args)]
 pub struct EvaluateArgs {
@@ -44,7 +43,7 @@ struct PhotoError {
 pub fn run(args: &EvaluateArgs) -> Result<()> {
     let material = load_material(&args.material)?;
     let size = material.width().max(material.height());
-    let capture = Capture::open_with(&args.capture.capture, &args.capture.options(Some(size)))?;
+    let capture = args.capture.open(Some(size))?;
     if (capture.width(), capture.height()) != (material.width(), material.height()) {
         return Err(Error::shape(
             args.capture.capture.display().to_string(),
@@ -59,8 +58,9 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     let photos = capture
         .photos()
         .iter()
-        .map(|photo| {
-            let rmse = photo_rmse(&render(&material, &photo.shot)?, &photo.image)?;
+        .enumerate()
+        .map(|(index, photo)| {
+            let rmse = photo_rmse(&render_photo(&material, &capture, index)?, &photo.image)?;
             Ok(PhotoError { name: photo.name.clone(), rmse })
         })
         .collect::<Result<Vec<_>>>()?;
@@ -78,7 +78,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
 
 fn text(evaluation: &Evaluation) -> String {
     let mut lines: Vec<String> =
-        evaluation.photos.iter().map(|photo| format!("{:<24}{:.4}", photo.name, photo.rmse)).collect();
+        evaluation.photos.iter().map(|photo| format!("{:<24}{:.4}", printable(&photo.name), photo.rmse)).collect();
     lines.push(format!("{:<24}{:.4}  RMSE, gamma 2.2", "mean", evaluation.rmse));
     lines.extend(evaluation.maps.as_ref().map(ToString::to_string));
     lines.join("\n")

@@ -10,9 +10,9 @@ use serde_json::json;
 
 use super::outputs::keep;
 use super::{CaptureArgs, complain, say, say_json};
-use crate::capture::{Capture, photo_files};
+use crate::capture::photo_files;
 use crate::color::ColorSpace;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use crate::fit::options::{FitOptions, Method, Preset};
 use crate::fit::progress::{CancelToken, Progress};
 use crate::fit::report::FitReport;
@@ -28,7 +28,7 @@ pub struct FitArgs {
     #[arg(long, short)]
     out: PathBuf,
     /// Longer side of the maps in pixels; larger photos are resampled.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     size: Option<usize>,
     /// How much time to spend.
     #[arg(long, value_enum, default_value = "balanced")]
@@ -40,28 +40,28 @@ pub struct FitArgs {
     #[arg(long)]
     weights: Option<PathBuf>,
     /// Steps on the latent code, instead of the preset's.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     latent_steps: Option<usize>,
     /// Steps on the adapters, instead of the preset's.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     adapter_steps: Option<usize>,
     /// Steps on the maps themselves, instead of the preset's.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     direct_steps: Option<usize>,
     /// Steps of the per-pixel finish, instead of the preset's; 0: none. With --direct-steps 0 too, the maps are the network's.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     finish_steps: Option<usize>,
     /// Take every step, also when the loss has flattened.
     #[arg(long)]
     no_early_stop: bool,
     /// Most bytes the run may use; three quarters of the free memory if not given.
-    #[arg(long, value_name = "BYTES")]
+    #[arg(long, allow_negative_numbers = true, value_name = "BYTES")]
     max_memory: Option<u64>,
     /// Seed of everything random.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, allow_negative_numbers = true, default_value_t = 0)]
     seed: u64,
     /// Threads; all if not given.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     threads: Option<usize>,
     /// File format of the maps.
     #[arg(long, value_enum, default_value = "exr")]
@@ -139,12 +139,12 @@ pub fn run(args: &FitArgs) -> Result<()> {
     drop(ctrlc::set_handler(move || on_interrupt.cancel()));
 
     check_folder(&args.out)?;
-    let photos = photo_files(&args.capture.capture)?;
+    let photos = photo_files(args.capture.path()?)?;
     for name in file_names(args.format()) {
         keep(&args.out.join(name), "a photo that this command reads", photos.clone())?;
     }
     material::check_folder(&args.out, args.format())?;
-    let capture = Capture::open_with(&args.capture.capture, &args.capture.options(args.size))?;
+    let capture = args.capture.open(args.size)?;
     let model = args.weights.as_deref().map(|path| Model::load_for(path, capture.len())).transpose()?;
     let mut bar = Bar::new(args.quiet || args.json);
     let fit = fit_material(&capture, model.as_ref(), &args.fit_options(cancel), &mut |progress| {
@@ -159,7 +159,7 @@ pub fn run(args: &FitArgs) -> Result<()> {
     material.save(&args.out, &save_options)?;
 
     for warning in &report.warnings {
-        complain(&format!("warning: {warning}"));
+        complain(&format!("warning: {}", printable(warning)));
     }
     if args.json {
         say_json(&json!({ "material": args.out, "preview": args.out.join(PREVIEW_PNG), "report": report_json }))
@@ -200,7 +200,7 @@ fn summary(report: &FitReport, out: &Path) -> String {
         .collect();
     let error = report.photo_errors.iter().sum::<f64>() / report.photo_errors.len() as f64;
     lines.push(format!("photos used: RMSE {error:.4} (gamma 2.2) over {}", report.photo_errors.len()));
-    lines.push(format!("{} in {:.1} s", out.display(), report.seconds));
+    lines.push(format!("{} in {:.1} s", printable(out.display()), report.seconds));
     lines.join("\n")
 }
 

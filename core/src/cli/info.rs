@@ -6,7 +6,8 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::{load_material, say, say_json};
-use crate::error::Result;
+use crate::error::{Error, Result, printable};
+use crate::io::describe::{describe, is_image};
 use crate::io::material::read_report;
 use crate::maps::Lobe;
 use crate::nn::{Model, PhotoGraph};
@@ -21,6 +22,13 @@ pub struct InfoArgs {
 }
 
 pub fn run(args: &InfoArgs) -> Result<()> {
+    if is_image(&args.file) {
+        let got = format!(
+            "{}: expected a weights file or the folder of a material, see docs/weights.md and docs/materials.md; photos are for captures, see docs/captures.md",
+            describe(&args.file)
+        );
+        return Err(Error::UnsupportedFormat { name: args.file.display().to_string(), got });
+    }
     let facts = if args.file.is_dir() { material(args)? } else { weights(args)? };
     if args.json { say_json(&facts) } else { say(&lines(&facts, 0)) }
 }
@@ -83,15 +91,18 @@ fn photo_graph(model: &Model, graph: &PhotoGraph) -> Result<Value> {
 /// A JSON value as indented lines.
 fn lines(value: &Value, depth: usize) -> String {
     let indent = "  ".repeat(depth);
-    let entry = |name: &str, value: &Value| match value {
-        Value::Object(_) => format!("{indent}{name}:\n{}", lines(value, depth + 1)),
-        Value::Array(items) if items.iter().any(Value::is_object) => {
-            format!("{indent}{name}:\n{}", lines(value, depth + 1))
+    let entry = |name: &str, value: &Value| {
+        let name = printable(name);
+        match value {
+            Value::Object(_) => format!("{indent}{name}:\n{}", lines(value, depth + 1)),
+            Value::Array(items) if items.iter().any(Value::is_object) => {
+                format!("{indent}{name}:\n{}", lines(value, depth + 1))
+            }
+            Value::Array(items) => {
+                format!("{indent}{name}: {}", items.iter().map(scalar).collect::<Vec<_>>().join(", "))
+            }
+            other => format!("{indent}{name}: {}", scalar(other)),
         }
-        Value::Array(items) => {
-            format!("{indent}{name}: {}", items.iter().map(scalar).collect::<Vec<_>>().join(", "))
-        }
-        other => format!("{indent}{name}: {}", scalar(other)),
     };
     match value {
         Value::Object(map) => map.iter().map(|(name, value)| entry(name, value)).collect::<Vec<_>>().join("\n"),
@@ -104,7 +115,7 @@ fn lines(value: &Value, depth: usize) -> String {
 
 fn scalar(value: &Value) -> String {
     match value {
-        Value::String(text) => text.clone(),
+        Value::String(text) => printable(text),
         Value::Null => "-".to_owned(),
         other => other.to_string(),
     }

@@ -15,9 +15,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::capture::CaptureOptions;
+use crate::capture::{Capture, CaptureOptions};
 use crate::color::{ColorSpace, Transfer};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
+use crate::io::describe::describe;
+use crate::io::material::MATERIAL_JSON;
 use crate::material::Material;
 
 /// Material maps from flash photos.
@@ -55,8 +57,11 @@ enum Command {
 struct CaptureArgs {
     /// Folder of a capture, or its JSON file.
     capture: PathBuf,
+    /// What follows, such as photos by their names, to be told what a capture is.
+    #[arg(hide = true)]
+    more: Vec<PathBuf>,
     /// Photos to take, counted from 0: 0,2,5.
-    #[arg(long, value_delimiter = ',', value_name = "I,J,...")]
+    #[arg(long, value_delimiter = ',', value_name = "I,J,...", allow_hyphen_values = true)]
     views: Option<Vec<usize>>,
     /// Transfer function of the photos, instead of what the capture states.
     #[arg(long)]
@@ -70,6 +75,27 @@ struct CaptureArgs {
 }
 
 impl CaptureArgs {
+    /// The one capture that was given.
+    fn path(&self) -> Result<&Path> {
+        if let Some(second) = self.more.first() {
+            let reason = format!(
+                "expected one folder or JSON file, got {}: {} ({}), {} ({}){}; a capture also says where camera and light stood for each photo, see docs/captures.md",
+                self.more.len() + 1,
+                self.capture.display(),
+                describe(&self.capture),
+                second.display(),
+                describe(second),
+                if self.more.len() > 1 { " ..." } else { "" },
+            );
+            return Err(Error::invalid("capture", reason));
+        }
+        Ok(&self.capture)
+    }
+
+    fn open(&self, size: Option<usize>) -> Result<Capture> {
+        Capture::open_with(self.path()?, &self.options(size))
+    }
+
     fn options(&self, size: Option<usize>) -> CaptureOptions {
         let mut options = CaptureOptions::new();
         options.size = size;
@@ -136,10 +162,14 @@ impl std::str::FromStr for Triple {
 ///
 /// Results go to standard output, progress, warnings and one-line errors to standard error.
 pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> i32 {
-    let cli = match Cli::try_parse_from(arguments) {
+    let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
+    let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
         Err(error) => {
-            // Help and version go to standard output, errors to standard error; a closed pipe is nobody's loss.
+            // Help and version go to standard output, errors to standard error; a closed pipe is nobody's loss. What the parser repeats of
+            // the arguments may be names of files.
+            let shown = arguments.iter().map(|argument| printable(argument.display()));
+            let error = Cli::try_parse_from(shown).err().unwrap_or(error);
             drop(error.print());
             return error.exit_code();
         }
@@ -176,21 +206,30 @@ fn exit_code(error: &Error) -> i32 {
     }
 }
 
-/// A material folder, with what there is to say about how it was read.
+/// A material folder, with what there is to say about how it was read, or about what is there instead.
 fn load_material(folder: &Path) -> Result<Material> {
-    let material = Material::load(folder)?;
+    let material = Material::load(folder).map_err(|error| {
+        if !folder.exists() || folder.join(MATERIAL_JSON).exists() {
+            return error;
+        }
+        let got = format!(
+            "{}: expected the folder of a material with its {MATERIAL_JSON}, which fit makes of a capture; see docs/materials.md",
+            describe(folder)
+        );
+        Error::UnsupportedFormat { name: folder.display().to_string(), got }
+    })?;
     for warning in &material.warnings {
-        complain(&format!("warning: {warning}"));
+        complain(&format!("warning: {}", printable(warning)));
     }
     Ok(material)
 }
 
-/// One line on standard error.
+/// A line on standard error; texts of files go through [`printable`] first.
 fn complain(line: &str) {
     drop(writeln!(std::io::stderr(), "{line}"));
 }
 
-/// Text on standard output.
+/// Text on standard output; names and texts of files go through [`printable`] first.
 ///
 /// # Errors
 /// [`Error::Io`] if it cannot be written.

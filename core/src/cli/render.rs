@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::outputs::keep_maps_and_photos;
-use super::{ColorSpaceArg, TransferArg, Triple, load_material};
+use super::{ColorSpaceArg, TransferArg, Triple, complain, load_material};
 use crate::capture::Shot;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
@@ -24,10 +24,11 @@ pub struct RenderArgs {
     light: Triple,
     /// Light intensity: a white diffuse patch at distance r gets the radiance intensity / (pi r^2). Without it, pi times the squared
     /// distance of the light from the centre, so that such a patch is white there.
-    #[arg(long, value_name = "R,G,B")]
+    #[arg(long, value_name = "R,G,B", allow_hyphen_values = true)]
     light_intensity: Option<Triple>,
-    /// Longer side of the picture; maps are resampled by area, never enlarged.
-    #[arg(long)]
+    /// Longer side of the picture in pixels, that of the maps if not given. Larger maps are averaged down to it before rendering; smaller ones are never
+    /// enlarged: the picture is then as large as they are, with a warning.
+    #[arg(long, allow_negative_numbers = true)]
     size: Option<usize>,
     /// Encoding of a PNG or JPEG; OpenEXR and TIFF files are floats, linear.
     #[arg(long, value_enum, default_value = "srgb")]
@@ -43,6 +44,10 @@ pub struct RenderArgs {
 pub fn run(args: &RenderArgs) -> Result<()> {
     keep_maps_and_photos(&args.out, &args.material)?;
     let material = load_material(&args.material)?;
+    let (width, height) = (material.width(), material.height());
+    if let Some(size) = args.size.filter(|&size| size > width.max(height)) {
+        complain(&format!("warning: size: {size} pixels asked for, maps of {width} x {height} are not enlarged"));
+    }
     let material = match args.size {
         Some(size) => material.resized(size)?,
         None => material,

@@ -6,7 +6,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{complain, say};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use crate::fit::pool;
 use crate::fit::progress::CancelToken;
 use crate::train::{Configuration, Event, RunOptions, Validation, run as train};
@@ -22,7 +22,7 @@ pub struct TrainArgs {
     #[arg(long, short, value_name = "FOLDER")]
     output: PathBuf,
     /// End after so many seconds, with a checkpoint.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     seconds: Option<f64>,
     /// Change a setting: optimiser.rate=5e-4.
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -31,7 +31,7 @@ pub struct TrainArgs {
     #[arg(long, default_value = "not stated")]
     license: String,
     /// Threads; all if not given.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     threads: Option<usize>,
     /// No progress bar and no lines but errors.
     #[arg(long, short)]
@@ -59,7 +59,7 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     }
     say(&format!(
         "{}: {} steps, {:.0} s of training, {:.1} % of the schedule",
-        summary.model.display(),
+        printable(summary.model.display()),
         summary.steps,
         summary.seconds,
         100.0 * summary.progress.min(1.0)
@@ -97,7 +97,9 @@ impl Bar {
                     "{materials} materials, {held_out} held out; {parameters:.2} M parameters; from step {step}"
                 ));
             }
-            Event::Changed(settings) => self.line(&format!("changed since the checkpoint: {}", settings.join(", "))),
+            Event::Changed(settings) => {
+                self.line(&format!("changed since the checkpoint: {}", printable(settings.join(", "))))
+            }
             Event::Stepped { step, progress, entry } => {
                 // What earlier runs did tells nothing about the time left.
                 if self.bar.position() == 0 {

@@ -274,6 +274,17 @@ pub(crate) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
     }
 }
 
+/// What an image file that is read is called, by its first bytes.
+pub(super) fn kind(start: &[u8]) -> Option<&'static str> {
+    match start {
+        [0x89, b'P', b'N', b'G', ..] => Some("a PNG"),
+        [0xff, 0xd8, 0xff, ..] => Some("a JPEG"),
+        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Some("a TIFF"),
+        [0x76, 0x2f, 0x31, 0x01, ..] => Some("an OpenEXR"),
+        _ => None,
+    }
+}
+
 /// What a file is that cameras write and that is not read, and what to do with it. Raw files that are TIFF are told there.
 fn known_by_name(bytes: &[u8]) -> Option<&'static str> {
     const TELEPHONE: &str = "a HEIF picture (HEIC or AVIF), which telephones write; convert it to a PNG or TIFF of 16 bit, or to a JPEG of high \

@@ -556,7 +556,7 @@ impl Material {
             warnings: self.warnings.clone(),
             ..*self
         };
-        resized.limited()
+        resized.normalised()
     }
 }
 
@@ -803,7 +803,7 @@ fn to_map(map: Map, lobe: Lobe, path: &Path, pixels: Image) -> Result<Image> {
 
 /// The material with values limited to their ranges and vectors at unit length.
 fn assemble(path: &Path, material: Material) -> Result<Material> {
-    material.limited().map_err(|error| match error {
+    material.normalised().map_err(|error| match error {
         Error::ShapeMismatch { name, expected, got } => {
             Error::ShapeMismatch { name: format!("{}: {name}", path.display()), expected, got }
         }

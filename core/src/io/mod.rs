@@ -6,6 +6,7 @@
 //! ([`CaptureOptions::ignore_profiles`](crate::CaptureOptions::ignore_profiles)); everywhere else the encoding is what the caller states.
 
 mod decode;
+pub(crate) mod describe;
 mod encode;
 mod exr;
 mod font;

@@ -13,11 +13,12 @@ use rayon::prelude::*;
 
 use crate::brdf::real::{Arithmetic, Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::brdf::{Directions, Frame, Response, Surface};
-use crate::capture::Shot;
+use crate::capture::{Capture, Shot};
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::material::Material;
+use crate::unit::Unit;
 
 #[doc(hidden)]
 pub use tape::photo_loss_on_tape;
@@ -32,7 +33,8 @@ const CHUNK_PIXELS: usize = 4096;
 /// Photo of a material under one camera and one light: linear RGB, (H, W, 3).
 ///
 /// # Errors
-/// [`Error::ShapeMismatch`] or [`Error::InvalidArgument`] if maps differ in size, hold NaN or infinity, or `shot` is not finite.
+/// [`Error::ShapeMismatch`] or [`Error::InvalidArgument`] if maps differ in size, hold NaN or infinity, if camera or light are not in front of the surface
+/// (z above 0), or `light_intensity` is negative or not finite.
 ///
 /// # Example
 /// ```
@@ -52,9 +54,60 @@ const CHUNK_PIXELS: usize = 4096;
 /// # Ok::<(), svbrdf_gcn::Error>(())
 /// ```
 pub fn render(material: &Material, shot: &Shot) -> Result<Image> {
+    rendered(material, material.patch_size, shot)
+}
+
+/// [`render`] of a patch that is `patch_size` wide in the unit of `shot`.
+fn rendered(material: &Material, patch_size: f64, shot: &Shot) -> Result<Image> {
+    if let Some((field, reason)) = shot.misplaced() {
+        return Err(Error::invalid(field, reason));
+    }
     let maps = material.to_maps()?;
-    let planes = render_maps(&maps, material.patch_size, shot)?;
+    let planes = render_maps(&maps, patch_size, shot)?;
     Image::from_planar(maps.width(), maps.height(), 3, &planes)
+}
+
+/// [`render`] as photo `index` of `capture`, counted from 0, was taken.
+///
+/// The material and the photos must show the same patch. Widths in known units are compared as lengths, to a thousandth; the photo's
+/// positions count in the capture's unit. Where a unit is not stated, or both are the same one, the numbers must agree.
+///
+/// # Errors
+/// [`Error::InvalidArgument`] naming both widths if they differ or their units cannot be converted, and for a photo that does not exist; as [`render`].
+pub fn render_photo(material: &Material, capture: &Capture, index: usize) -> Result<Image> {
+    let count = capture.len();
+    let photo = capture.photos().get(index);
+    let photo = photo.ok_or_else(|| {
+        Error::invalid("index", format!("photo {index} of a capture of {count} photos, counted from 0"))
+    })?;
+    check_patch(material, capture)?;
+    rendered(material, capture.patch_size(), &photo.shot)
+}
+
+/// How far the widths of a material and of a capture may differ, as a share.
+const PATCH_SLACK: f64 = 1e-3;
+
+/// Fails unless the patches of both are equally wide.
+fn check_patch(material: &Material, capture: &Capture) -> Result<()> {
+    let (ours, theirs) = (material.unit.as_ref(), capture.unit());
+    let factor = match (ours, theirs) {
+        (Some(ours), Some(theirs)) => ours.factor_to(theirs),
+        _ => Some(1.0),
+    };
+    let (width, expected) = (material.patch_size, capture.patch_size());
+    if factor.is_some_and(|factor| (width * factor - expected).abs() <= PATCH_SLACK * expected) {
+        return Ok(());
+    }
+    let told = |width: f64, unit: Option<&Unit>| match unit {
+        Some(unit) => format!("{width} {unit}"),
+        None => format!("{width} (no unit stated)"),
+    };
+    let (width, expected) = (told(width, ours), told(expected, theirs));
+    let advice = "state the units, mm, cm, m or in, in material.json and capture.json, or fit the capture anew";
+    Err(Error::invalid(
+        "patch_size",
+        format!("the capture's patch is {expected} wide, the material's {width}: {advice}"),
+    ))
 }
 
 /// Radiance of every pixel of `maps`: three planes (R, G, B) of `height * width` values, rows from the top, linear.
