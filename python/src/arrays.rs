@@ -15,6 +15,7 @@ use svbrdf_gcn::Image;
 use svbrdf_gcn::io::{MAX_DECODED_BYTES, Samples};
 
 use crate::errors::{format, shape};
+use crate::options::{items, named};
 
 /// Values of an array, copied.
 pub enum Values {
@@ -48,7 +49,7 @@ impl Pixels {
     /// `ShapeError` for another shape, one without pixels, or more than 1 GiB; `FormatError` for other types than `uint8`, `uint16` and floats;
     /// `MemoryError` if there is no room for a copy.
     pub fn read(name: &str, array: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let array = asarray(array)?;
+        let array = asarray(name, array)?;
         let dims = shape_of(&array)?;
         let (height, width, channels) = match dims[..] {
             [height, width] => (height, width, 1),
@@ -99,9 +100,38 @@ pub fn image(name: &str, array: &Bound<'_, PyAny>) -> PyResult<Image> {
     Pixels::read(name, array)?.into_image(array.py(), name)
 }
 
-/// `numpy.asarray`.
-pub fn asarray<'py>(object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    object.py().import("numpy")?.call_method1("asarray", (object,))
+/// The array that argument `name` stands for: what numpy makes one of, and generators and the like.
+///
+/// # Errors
+/// `FormatError` or `ArgumentError` for what is none.
+pub fn asarray<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    array_of(name, "an array", object, None)
+}
+
+/// Likewise, of `float64`.
+fn float64<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    array_of(name, "numbers", object, Some("f8"))
+}
+
+fn array_of<'py>(
+    name: &str,
+    expected: &str,
+    object: &Bound<'py, PyAny>,
+    dtype: Option<&str>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let array = || {
+        let numpy = object.py().import("numpy")?;
+        if is_bare_iterable(object)? {
+            return numpy.call_method1("asarray", (items(object)?, dtype));
+        }
+        numpy.call_method1("asarray", (object, dtype))
+    };
+    array().map_err(|error| named(name, expected, object, error))
+}
+
+/// Whether all that can be done with an object is to go through it: of a generator numpy would make an array of one object.
+pub fn is_bare_iterable(object: &Bound<'_, PyAny>) -> PyResult<bool> {
+    Ok(object.hasattr("__iter__")? && !object.hasattr("__getitem__")? && !object.hasattr("__array__")?)
 }
 
 pub fn shape_of(array: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
@@ -135,7 +165,7 @@ fn copy<T: Element + Default>(array: &Bound<'_, PyAny>, dtype: &str) -> PyResult
 /// # Errors
 /// `ShapeError`, or what numpy raises for something that is not numbers.
 pub fn triples(name: &str, object: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<[f64; 3]>> {
-    let array = float64(object)?;
+    let array = float64(name, object)?;
     let dims = shape_of(&array)?;
     if dims != [count, 3] {
         return Err(shape(name, format_args!("shape ({count}, 3)"), tuple(&dims)));
@@ -148,7 +178,7 @@ pub fn triples(name: &str, object: &Bound<'_, PyAny>, count: usize) -> PyResult<
 /// # Errors
 /// As [`triples`].
 pub fn triple(name: &str, object: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
-    let array = float64(object)?;
+    let array = float64(name, object)?;
     let dims = shape_of(&array)?;
     if dims != [3] {
         return Err(shape(name, "shape (3,)", tuple(&dims)));
@@ -161,7 +191,7 @@ pub fn triple(name: &str, object: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
 /// # Errors
 /// As [`triples`].
 pub fn intensities(name: &str, object: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<[f64; 3]>> {
-    let array = float64(object)?;
+    let array = float64(name, object)?;
     let dims = shape_of(&array)?;
     let list = array.call_method0("tolist")?;
     match dims[..] {
@@ -170,10 +200,6 @@ pub fn intensities(name: &str, object: &Bound<'_, PyAny>, count: usize) -> PyRes
         [n, 3] if n == count => list.extract(),
         _ => Err(shape(name, format_args!("shape (), (3,) or ({count}, 3)"), tuple(&dims))),
     }
-}
-
-fn float64<'py>(object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    object.py().import("numpy")?.call_method1("asarray", (object, "f8"))
 }
 
 /// Presents an image to numpy and keeps its owner alive for as long as there is an array of it.
@@ -225,7 +251,7 @@ impl<'py> ImageArray<'py> {
     fn part(py: Python<'py>, owner: Arc<dyn Send + Sync>, image: &Image) -> PyResult<Self> {
         let shape = (image.height(), image.width(), image.channels());
         let address = image.data().as_ptr().expose_provenance();
-        asarray(Bound::new(py, View { _owner: owner, shape, address })?.as_any()).map(Self)
+        asarray("image", Bound::new(py, View { _owner: owner, shape, address })?.as_any()).map(Self)
     }
 
     /// An array of the caller's own.
@@ -263,6 +289,6 @@ impl<'py> IntoPyObject<'py> for Triples {
     const OUTPUT_TYPE: PyStaticExpr = NUMPY_FLOAT64;
 
     fn into_pyobject(self, py: Python<'py>) -> PyResult<Self::Output> {
-        float64(PyList::new(py, self.0)?.as_any())
+        float64("positions", PyList::new(py, self.0)?.as_any())
     }
 }

@@ -7,28 +7,27 @@ use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString, PyTuple};
 use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer, Unit};
 
-use crate::arrays::{ImageArray, Pixels, Triples, asarray, intensities, shape_of, triples, tuple};
+use crate::arrays::{ImageArray, Pixels, Triples, asarray, intensities, is_bare_iterable, shape_of, triples, tuple};
 use crate::errors::{argument, detached, format, shape};
-use crate::options::{choice, counts, maybe_count};
+use crate::options::{Given, Integers, choice, counts, items, maybe, maybe_count, named, shown};
 use crate::types::{ArrayLike, Photos, Source};
 
 /// What says how a capture is read.
-#[derive(Default)]
-pub struct Reading {
-    pub size: Option<i128>,
-    pub views: Option<Vec<i128>>,
-    pub transfer: Option<String>,
-    pub color_space: Option<String>,
+pub struct Reading<'py> {
+    pub size: Option<Given<'py, i128>>,
+    pub views: Option<Given<'py, Integers>>,
+    pub transfer: Option<Given<'py, String>>,
+    pub color_space: Option<Given<'py, String>>,
     pub ignore_profiles: bool,
 }
 
-impl Reading {
-    fn options(&self) -> PyResult<CaptureOptions> {
+impl Reading<'_> {
+    fn options(self) -> PyResult<CaptureOptions> {
         let mut options = CaptureOptions::new();
         options.size = maybe_count("size", self.size)?;
-        options.views = self.views.as_deref().map(|views| counts("views", views)).transpose()?;
-        options.transfer = self.transfer.as_deref().map(transfer).transpose()?;
-        options.color_space = self.color_space.as_deref().map(color_space).transpose()?;
+        options.views = self.views.map(|views| counts("views", views)).transpose()?;
+        options.transfer = maybe("transfer", self.transfer)?.as_deref().map(transfer).transpose()?;
+        options.color_space = maybe("color_space", self.color_space)?.as_deref().map(color_space).transpose()?;
         options.ignore_profiles = self.ignore_profiles;
         Ok(options)
     }
@@ -51,9 +50,9 @@ impl Reading {
 pub struct Setup<'py> {
     pub camera_positions: Option<ArrayLike<'py>>,
     pub light_positions: Option<ArrayLike<'py>>,
-    pub patch_size: Option<f64>,
+    pub patch_size: Option<Given<'py, f64>>,
     pub light_intensity: Option<ArrayLike<'py>>,
-    pub white_level: Option<f32>,
+    pub white_level: Option<Given<'py, f32>>,
 }
 
 impl Setup<'_> {
@@ -92,7 +91,7 @@ impl Setup<'_> {
 ///
 /// # Errors
 /// `ArgumentError` for arguments that a capture brings itself or that photos lack; as `Capture` and `Capture.open` otherwise.
-pub fn capture(py: Python<'_>, source: &Source<'_>, setup: &Setup<'_>, reading: &Reading) -> PyResult<Arc<Capture>> {
+pub fn capture(py: Python<'_>, source: &Source<'_>, setup: Setup<'_>, reading: Reading<'_>) -> PyResult<Arc<Capture>> {
     let given = match source {
         Source::Capture(_) => setup.given().or_else(|| reading.given()),
         Source::Path(_) => setup.given(),
@@ -108,23 +107,23 @@ pub fn capture(py: Python<'_>, source: &Source<'_>, setup: &Setup<'_>, reading: 
     }
 }
 
-fn open(py: Python<'_>, path: &Path, reading: &Reading) -> PyResult<Arc<Capture>> {
+fn open(py: Python<'_>, path: &Path, reading: Reading<'_>) -> PyResult<Arc<Capture>> {
     let options = reading.options()?;
     detached(py, || Capture::open_with(path, &options)).map(Arc::new)
 }
 
-fn from_photos(photos: &Bound<'_, PyAny>, setup: &Setup<'_>, reading: &Reading) -> PyResult<Arc<Capture>> {
+fn from_photos(photos: &Bound<'_, PyAny>, setup: Setup<'_>, reading: Reading<'_>) -> PyResult<Arc<Capture>> {
     let py = photos.py();
     let options = reading.options()?;
-    let patch_size = setup.patch_size.ok_or_else(|| {
+    let photos = list(photos)?;
+    let shots = setup.shots(photos.len())?;
+    let patch_size = maybe("patch_size", setup.patch_size)?.ok_or_else(|| {
         argument("patch_size", "expected the width of the patch for photos that are no capture, got None")
     })?;
     let transfer = options.transfer.ok_or_else(|| {
         argument("transfer", "expected 'srgb', 'gamma2.2' or 'linear' for photos that are no capture, got None")
     })?;
-    let white_level = setup.white_level;
-    let photos = list(photos)?;
-    let shots = setup.shots(photos.len())?;
+    let white_level = maybe("white_level", setup.white_level)?;
     let paths = photos.iter().map(path).collect::<PyResult<Vec<_>>>()?;
     if paths.iter().any(Option::is_some) {
         let files = paths.into_iter().collect::<Option<Vec<_>>>();
@@ -156,13 +155,18 @@ fn from_photos(photos: &Bound<'_, PyAny>, setup: &Setup<'_>, reading: &Reading) 
     detached(py, || Capture::from_photos(&pixels, patch_size, transfer, white_level, &options)).map(Arc::new)
 }
 
-/// The photos of a list, a tuple or an array of rank 4.
+/// The photos of a list, a generator or the like, or of an array of rank 4.
 fn list<'py>(photos: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
-    if photos.is_instance_of::<PyList>() || photos.is_instance_of::<PyTuple>() {
-        return photos.try_iter()?.collect();
+    let is_list = photos.is_instance_of::<PyList>() || photos.is_instance_of::<PyTuple>();
+    if is_list || is_bare_iterable(photos)? {
+        return items(photos).map_err(|error| named("photos", "photos", photos, error));
     }
-    let array = asarray(photos)?;
+    let array = asarray("photos", photos)?;
     let dims = shape_of(&array)?;
+    if dims.is_empty() {
+        let expected = "an array of shape (N, H, W, 3), or an iterable of arrays or of paths";
+        return Err(format("photos", expected, shown(photos)));
+    }
     if dims.len() != 4 {
         return Err(shape("photos", "shape (N, H, W, 3)", tuple(&dims)));
     }
@@ -192,7 +196,7 @@ pub fn color_space(name: &str) -> PyResult<ColorSpace> {
 ///
 /// Parameters
 /// ----------
-/// photos : array of shape (N, H, W, 3), or a list of N arrays of shape (H, W, 3) or of N paths of image files
+/// photos : array of shape (N, H, W, 3), or an iterable of N arrays of shape (H, W, 3) or of N paths of image files
 ///     uint8 and uint16 stand for values from 0 to 1, floats for themselves. Grey photos and photos with alpha (which is
 ///     ignored) are taken as well. Arrays may have any layout; they are copied.
 /// camera_positions : array_like of shape (N, 3)
@@ -210,11 +214,11 @@ pub fn color_space(name: &str) -> PyResult<ColorSpace> {
 ///     Stored value from which on floats are saturated. Integers are at their largest value.
 /// size : int, optional
 ///     Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
-/// views : sequence of int, optional
+/// views : iterable of int, optional
 ///     The photos to take, counted from 0.
 /// color_space : {"rec709", "acescg"}, optional
 ///     Colour space of linear photos and of `light_intensity`, Rec. 709 if not given. Everything is computed in Rec. 709.
-/// ignore_profiles : bool
+/// ignore_profiles : bool, default False
 ///     Read image files as if they held no colour profiles. Without it their colours are converted where `color_space` is not given.
 ///
 /// Raises
@@ -242,21 +246,22 @@ pub struct PyCapture(pub Arc<Capture>);
 impl PyCapture {
     #[new]
     #[pyo3(signature = (photos, *, camera_positions, patch_size, light_intensity, transfer, light_positions = None,
-        white_level = None, size = None, views = None, color_space = None, ignore_profiles = false))]
+        white_level = None, size = None, views = None, color_space = None, ignore_profiles = Given::Default(false)))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn new<'py>(
         photos: Photos<'py>,
         camera_positions: ArrayLike<'py>,
-        patch_size: f64,
+        patch_size: Given<'py, f64>,
         light_intensity: ArrayLike<'py>,
-        transfer: String,
+        transfer: Given<'py, String>,
         light_positions: Option<ArrayLike<'py>>,
-        white_level: Option<f32>,
-        size: Option<i128>,
-        views: Option<Vec<i128>>,
-        color_space: Option<String>,
-        ignore_profiles: bool,
+        white_level: Option<Given<'py, f32>>,
+        size: Option<Given<'py, i128>>,
+        views: Option<Given<'py, Integers>>,
+        color_space: Option<Given<'py, String>>,
+        ignore_profiles: Given<'py, bool>,
     ) -> PyResult<Self> {
+        let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
         let setup = Setup {
             camera_positions: Some(camera_positions),
             light_positions,
@@ -265,7 +270,7 @@ impl PyCapture {
             white_level,
         };
         let reading = Reading { size, views, transfer: Some(transfer), color_space, ignore_profiles };
-        from_photos(&photos.0, &setup, &reading).map(Self)
+        from_photos(&photos.0, setup, reading).map(Self)
     }
 
     /// Read a capture: its folder or its JSON file.
@@ -278,13 +283,13 @@ impl PyCapture {
     ///     Folder, ``capture.json``, or JSON file of svbrdf-diff-renderer.
     /// size : int, optional
     ///     Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
-    /// views : sequence of int, optional
+    /// views : iterable of int, optional
     ///     The photos to take, counted from 0; no others are opened.
     /// transfer : {"srgb", "gamma2.2", "linear"}, optional
     ///     Replaces what the capture states.
     /// color_space : {"rec709", "acescg"}, optional
     ///     Replaces what the capture states for linear photos.
-    /// ignore_profiles : bool
+    /// ignore_profiles : bool, default False
     ///     Read photos as if their files held no colour profiles.
     ///
     /// Returns
@@ -302,24 +307,25 @@ impl PyCapture {
     /// <svbrdf_gcn.Capture: 2 photos of 64 x 64 pixels, patch 10 wide, transfer srgb>
     #[staticmethod]
     #[pyo3(signature = (path, *, size = None,
-        views = None, transfer = None, color_space = None, ignore_profiles = false))]
+        views = None, transfer = None, color_space = None, ignore_profiles = Given::Default(false)))]
     fn open(
         py: Python<'_>,
-        path: PathBuf,
-        size: Option<i128>,
-        views: Option<Vec<i128>>,
-        transfer: Option<String>,
-        color_space: Option<String>,
-        ignore_profiles: bool,
+        path: Given<'_, PathBuf>,
+        size: Option<Given<'_, i128>>,
+        views: Option<Given<'_, Integers>>,
+        transfer: Option<Given<'_, String>>,
+        color_space: Option<Given<'_, String>>,
+        ignore_profiles: Given<'_, bool>,
     ) -> PyResult<Self> {
-        open(py, &path, &Reading { size, views, transfer, color_space, ignore_profiles }).map(Self)
+        let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
+        open(py, &path.take("path")?, Reading { size, views, transfer, color_space, ignore_profiles }).map(Self)
     }
 
     /// The capture with only some of its photos.
     ///
     /// Parameters
     /// ----------
-    /// views : sequence of int
+    /// views : iterable of int
     ///     The photos to keep, counted from 0, in this order.
     ///
     /// Returns
@@ -336,8 +342,8 @@ impl PyCapture {
     /// >>> capture = svbrdf_gcn.Capture.open("samples/tiles", size=32)
     /// >>> len(capture), len(capture.select([0, 8]))
     /// (9, 2)
-    fn select(&self, py: Python<'_>, views: Vec<i128>) -> PyResult<Self> {
-        let views = counts("views", &views)?;
+    fn select(&self, py: Python<'_>, views: Given<'_, Integers>) -> PyResult<Self> {
+        let views = counts("views", views)?;
         detached(py, || self.0.select(&views)).map(|capture| Self(Arc::new(capture)))
     }
 

@@ -12,6 +12,7 @@ mod classes {
     use pyo3::import_exception;
 
     import_exception!(svbrdf_gcn.errors, ArgumentError);
+    import_exception!(svbrdf_gcn.errors, BrokenFileError);
     import_exception!(svbrdf_gcn.errors, Cancelled);
     import_exception!(svbrdf_gcn.errors, FormatError);
     import_exception!(svbrdf_gcn.errors, NonFiniteError);
@@ -19,7 +20,7 @@ mod classes {
     import_exception!(svbrdf_gcn.errors, WeightsError);
 }
 
-use classes::{ArgumentError, Cancelled, FormatError, NonFiniteError, ShapeError, WeightsError};
+use classes::{ArgumentError, BrokenFileError, Cancelled, FormatError, NonFiniteError, ShapeError, WeightsError};
 
 /// Runs work of the core while other Python threads run.
 ///
@@ -52,19 +53,18 @@ pub fn exception(py: Python<'_>, error: &Error) -> PyErr {
     }
 }
 
-/// The subclass of `OSError` for an error of the system; `OSError` itself, with a file name and no number, for a file that is broken.
+/// The subclass of `OSError` for an error of the system, with its number; `BrokenFileError` for a file that is broken. Both have a message and a file name.
 fn os_error(py: Python<'_>, path: &Path, source: &std::io::Error) -> PyResult<PyErr> {
-    let number = source.raw_os_error().or(match source.kind() {
-        ErrorKind::NotFound => Some(2),
-        _ => None,
-    });
-    if let Some(number) = number {
+    let file = path.as_os_str().to_owned();
+    if let Some(number) = source.raw_os_error() {
         let text = py.import("os")?.call_method1("strerror", (number,))?;
-        return Ok(PyOSError::new_err((number, text.unbind(), path.as_os_str().to_owned())));
+        return Ok(PyOSError::new_err((number, text.unbind(), file)));
     }
-    let error = PyOSError::new_err(format!("{}: {source}", path.display()));
-    error.value(py).setattr("filename", path.as_os_str())?;
-    Ok(error)
+    if source.kind() == ErrorKind::NotFound {
+        let number = py.import("errno")?.getattr("ENOENT")?;
+        return Ok(PyOSError::new_err((number.unbind(), source.to_string(), file)));
+    }
+    Ok(BrokenFileError::new_err((py.None(), source.to_string(), file)))
 }
 
 /// An `ArgumentError`: `name: reason`.

@@ -12,7 +12,7 @@ use svbrdf_gcn::{Capture, FitOptions, Method, Preset, fit_material};
 use crate::capture::{Reading, Setup, capture};
 use crate::errors::detached;
 use crate::material::PyMaterial;
-use crate::options::{choice, count, maybe_count};
+use crate::options::{Given, Integers, choice, count, maybe, maybe_count};
 use crate::types::{ArrayLike, Callback, Source, Weights};
 
 /// Python is asked for signals, and the callback called, no more often than this.
@@ -133,7 +133,8 @@ impl PyModel {
     /// ...     print("not a weights file")
     /// not a weights file
     #[staticmethod]
-    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+    fn load(py: Python<'_>, path: Given<'_, PathBuf>) -> PyResult<Self> {
+        let path = path.take("path")?;
         detached(py, || Model::load(path)).map(|model| Self(Arc::new(model)))
     }
 
@@ -182,16 +183,16 @@ impl PyModel {
 ///
 /// Parameters
 /// ----------
-/// capture_or_photos : Capture, path of a capture, array of shape (N, H, W, 3), or list of arrays or image paths
+/// capture_or_photos : Capture, path of a capture, array of shape (N, H, W, 3), or iterable of arrays or image paths
 ///     A ``Capture``, or a path that ``Capture.open`` takes, brings its own positions; photos as arrays or image paths need
 ///     `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
 /// camera_positions, light_positions, patch_size, light_intensity, white_level : optional
 ///     See ``Capture``.
 /// transfer, color_space, ignore_profiles, size, views : optional
 ///     See ``Capture`` and ``Capture.open``.
-/// preset : {"draft", "balanced", "high"}
+/// preset : {"draft", "balanced", "high"}, default "balanced"
 ///     How much time to spend.
-/// method : {"auto", "network", "direct"}
+/// method : {"auto", "network", "direct"}, default "auto"
 ///     How to get from photos to maps; auto: network.
 /// weights : Model, str or os.PathLike, optional
 ///     Other weights than those built in.
@@ -199,7 +200,7 @@ impl PyModel {
 ///     Steps on the latent code, the adapters, the maps themselves, the per-pixel finish, instead of the preset's.
 /// max_memory : int, optional
 ///     Most bytes the run may use; three quarters of the free memory if not given.
-/// seed : int
+/// seed : int, default 0
 ///     Seed of everything random. The same seed and thread count give the same bits on the same processor.
 /// threads : int, optional
 ///     Threads; all if not given.
@@ -238,53 +239,55 @@ impl PyModel {
 /// ((32, 32, 1), 'network')
 #[pyfunction]
 #[pyo3(name = "fit_material", signature = (capture_or_photos, *, camera_positions = None, light_positions = None,
-    patch_size = None, light_intensity = None, transfer = None, color_space = None, ignore_profiles = false, size = None, views = None, white_level = None,
-    preset = "balanced", method = "auto", weights = None, latent_steps = None, adapter_steps = None, direct_steps = None, finish_steps = None,
-    max_memory = None, seed = 0, threads = None, early_stop = None, progress = None, cancel = None))]
+    patch_size = None, light_intensity = None, transfer = None, color_space = None, ignore_profiles = Given::Default(false), size = None, views = None, white_level = None,
+    preset = Given::Default("balanced".into()), method = Given::Default("auto".into()), weights = None, latent_steps = None, adapter_steps = None, direct_steps = None, finish_steps = None,
+    max_memory = None, seed = Given::Default(0), threads = None, early_stop = None, progress = None, cancel = None))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn py_fit_material<'py>(
     py: Python<'py>,
     capture_or_photos: Source<'py>,
     camera_positions: Option<ArrayLike<'py>>,
     light_positions: Option<ArrayLike<'py>>,
-    patch_size: Option<f64>,
+    patch_size: Option<Given<'py, f64>>,
     light_intensity: Option<ArrayLike<'py>>,
-    transfer: Option<String>,
-    color_space: Option<String>,
-    ignore_profiles: bool,
-    size: Option<i128>,
-    views: Option<Vec<i128>>,
-    white_level: Option<f32>,
-    preset: &str,
-    method: &str,
-    weights: Option<Weights<'py>>,
-    latent_steps: Option<i128>,
-    adapter_steps: Option<i128>,
-    direct_steps: Option<i128>,
-    finish_steps: Option<i128>,
-    max_memory: Option<i128>,
-    seed: i128,
-    threads: Option<i128>,
-    early_stop: Option<bool>,
-    progress: Option<Callback>,
-    cancel: Option<&Bound<'py, PyCancelToken>>,
+    transfer: Option<Given<'py, String>>,
+    color_space: Option<Given<'py, String>>,
+    ignore_profiles: Given<'py, bool>,
+    size: Option<Given<'py, i128>>,
+    views: Option<Given<'py, Integers>>,
+    white_level: Option<Given<'py, f32>>,
+    preset: Given<'py, String>,
+    method: Given<'py, String>,
+    weights: Option<Given<'py, Weights<'py>>>,
+    latent_steps: Option<Given<'py, i128>>,
+    adapter_steps: Option<Given<'py, i128>>,
+    direct_steps: Option<Given<'py, i128>>,
+    finish_steps: Option<Given<'py, i128>>,
+    max_memory: Option<Given<'py, i128>>,
+    seed: Given<'py, i128>,
+    threads: Option<Given<'py, i128>>,
+    early_stop: Option<Given<'py, bool>>,
+    progress: Option<Given<'py, Callback>>,
+    cancel: Option<Given<'py, Bound<'py, PyCancelToken>>>,
 ) -> PyResult<PyMaterial> {
-    let mut options = FitOptions::preset(choice("preset", preset, &PRESETS, preset_name)?);
-    options.method = choice("method", method, &METHODS, method_name)?;
+    let mut options = FitOptions::preset(choice("preset", &preset.take("preset")?, &PRESETS, preset_name)?);
+    options.method = choice("method", &method.take("method")?, &METHODS, method_name)?;
     options.latent_steps = maybe_count("latent_steps", latent_steps)?;
     options.adapter_steps = maybe_count("adapter_steps", adapter_steps)?;
     options.direct_steps = maybe_count("direct_steps", direct_steps)?;
     options.finish_steps = maybe_count("finish_steps", finish_steps)?;
     options.max_memory = maybe_count("max_memory", max_memory)?;
-    options.seed = count("seed", seed)?;
+    options.seed = count("seed", seed.take("seed")?)?;
     options.threads = maybe_count("threads", threads)?;
-    options.early_stop = early_stop;
-    if let Some(token) = cancel {
+    options.early_stop = maybe("early_stop", early_stop)?;
+    if let Some(token) = maybe("cancel", cancel)? {
         options.cancel = token.get().0.clone();
     }
     let setup = Setup { camera_positions, light_positions, patch_size, light_intensity, white_level };
+    let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
     let reading = Reading { size, views, transfer, color_space, ignore_profiles };
-    let capture = capture(py, &capture_or_photos, &setup, &reading)?;
+    let (weights, progress) = (maybe("weights", weights)?, maybe("progress", progress)?);
+    let capture = capture(py, &capture_or_photos, setup, reading)?;
     let model = weights.map(|weights| model(py, &weights, &capture)).transpose()?;
 
     let mut reports = Reports { callback: progress, next: Instant::now(), raised: None };

@@ -20,7 +20,7 @@ mod _svbrdf_gcn {
     #[pymodule_export]
     use crate::fit::{PyCancelToken, PyModel, PyProgress, py_fit_material};
     #[pymodule_export]
-    use crate::material::{PyMaterial, PyPrincipled, map_errors, photo_rmse};
+    use crate::material::{PyMaterial, PyPrincipled, map_errors, photo_errors, photo_rmse};
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "Python's name for it")]

@@ -14,12 +14,14 @@ use svbrdf_gcn::io::material::{
 };
 use svbrdf_gcn::io::preview::material_png;
 use svbrdf_gcn::metrics::MapErrors;
-use svbrdf_gcn::{Deviations, ExportOptions, ExportTarget, Material, NormalConvention, Shot, Unit, metrics, render};
+use svbrdf_gcn::{
+    Deviations, ExportOptions, ExportTarget, Material, NormalConvention, Photo, Shot, Unit, metrics, render,
+};
 
 use crate::arrays::{ImageArray, image, intensities, triple};
-use crate::capture;
+use crate::capture::{self, PyCapture};
 use crate::errors::detached;
-use crate::options::{choice, maybe_count};
+use crate::options::{Given, choice, maybe, maybe_count};
 use crate::types::{ArrayLike, Json, json_error};
 
 /// The maps of a material.
@@ -49,7 +51,8 @@ use crate::types::{ArrayLike, Json, json_error};
 /// FormatError
 ///     If they are not floats.
 /// ArgumentError
-///     If a value is not finite, or `patch_size` is not above 0.
+///     If a value is not finite, an albedo or roughness outside 0 to 1 by more than 0.001 (values of 0 to 255), a normal's or tangent's length off by
+///     more than a tenth (a map that is still encoded), or `patch_size` not above 0.
 ///
 /// Examples
 /// --------
@@ -87,9 +90,10 @@ impl PyMaterial {
         roughness: ArrayLike<'_>,
         normal: ArrayLike<'_>,
         tangent: Option<ArrayLike<'_>>,
-        patch_size: f64,
-        unit: Option<String>,
+        patch_size: Given<'_, f64>,
+        unit: Option<Given<'_, String>>,
     ) -> PyResult<Self> {
+        let (patch_size, unit) = (patch_size.take("patch_size")?, maybe("unit", unit)?.map(Unit::new));
         let material = Material {
             diffuse_albedo: image("diffuse_albedo", &diffuse_albedo)?,
             specular_albedo: image("specular_albedo", &specular_albedo)?,
@@ -97,7 +101,7 @@ impl PyMaterial {
             normal: image("normal", &normal)?,
             tangent: tangent.map(|tangent| image("tangent", &tangent)).transpose()?,
             patch_size,
-            unit: unit.map(Unit::new),
+            unit,
             warnings: Vec::new(),
         };
         // What cannot be computed with is refused here, what is out of range limited.
@@ -139,15 +143,17 @@ impl PyMaterial {
     #[pyo3(signature = (path, *, encoding = None, patch_size = None, unit = None))]
     fn load(
         py: Python<'_>,
-        path: PathBuf,
-        encoding: Option<&str>,
-        patch_size: Option<f64>,
-        unit: Option<String>,
+        path: Given<'_, PathBuf>,
+        encoding: Option<Given<'_, String>>,
+        patch_size: Option<Given<'_, f64>>,
+        unit: Option<Given<'_, String>>,
     ) -> PyResult<Self> {
+        let (path, encoding) = (path.take("path")?, maybe("encoding", encoding)?);
         let mut options = LoadOptions::default();
-        options.patch_size = patch_size;
-        options.unit = unit.map(Unit::new);
+        options.patch_size = maybe("patch_size", patch_size)?;
+        options.unit = maybe("unit", unit)?.map(Unit::new);
         options.encoding = encoding
+            .as_deref()
             .map(|name| choice("encoding", name, &MaterialEncoding::ALL, MaterialEncoding::name))
             .transpose()?;
         detached(py, || {
@@ -168,9 +174,9 @@ impl PyMaterial {
     /// Parameters
     /// ----------
     /// folder : str or os.PathLike
-    /// format : {"exr", "png16", "tiff"}
+    /// format : {"exr", "png16", "tiff"}, default "exr"
     ///     OpenEXR with half floats, PNG with 16 bits, or TIFF with single floats.
-    /// color_space : {"rec709", "acescg"}
+    /// color_space : {"rec709", "acescg"}, default "rec709"
     ///     Colour space of the albedos written.
     ///
     /// Raises
@@ -188,11 +194,18 @@ impl PyMaterial {
     /// ...     material.save(folder, format="tiff")
     /// ...     svbrdf_gcn.Material.load(folder)
     /// <svbrdf_gcn.Material: 256 x 256 pixels, isotropic, patch 10 wide>
-    #[pyo3(signature = (folder, *, format = "exr", color_space = "rec709"))]
-    fn save(&self, py: Python<'_>, folder: PathBuf, format: &str, color_space: &str) -> PyResult<()> {
+    #[pyo3(signature = (folder, *, format = Given::Default("exr".into()), color_space = Given::Default("rec709".into())))]
+    fn save(
+        &self,
+        py: Python<'_>,
+        folder: Given<'_, PathBuf>,
+        format: Given<'_, String>,
+        color_space: Given<'_, String>,
+    ) -> PyResult<()> {
+        let folder = folder.take("folder")?;
         let formats = [MaterialFormat::Exr, MaterialFormat::Png16, MaterialFormat::Tiff];
-        let mut options = SaveOptions::new(choice("format", format, &formats, format_name)?);
-        options.color_space = capture::color_space(color_space)?;
+        let mut options = SaveOptions::new(choice("format", &format.take("format")?, &formats, format_name)?);
+        options.color_space = capture::color_space(&color_space.take("color_space")?)?;
         options.deviations = self.deviations.as_deref().cloned();
         options.report = (!self.report.is_null()).then(|| self.report.clone());
         detached(py, || self.material.save(folder, &options))
@@ -209,7 +222,7 @@ impl PyMaterial {
     /// to : {"materialx", "gltf", "principled", "unreal"}
     ///     MaterialX with an OpenPBR surface, glTF with KHR_materials_specular, maps for Blender's Principled BSDF, or
     ///     maps for Unreal.
-    /// name : str
+    /// name : str, default "material"
     ///     What the material is called: letters, digits and underscores, a letter first.
     /// normals : {"opengl", "directx"}, optional
     ///     Whether green points up or down; what the program expects if not given.
@@ -235,19 +248,21 @@ impl PyMaterial {
     /// ...     report = material.export(folder, to="unreal", name="Wall")
     /// >>> report["target"], report["normals"]
     /// ('unreal', 'directx')
-    #[pyo3(signature = (folder, *, to, name = "material", normals = None))]
+    #[pyo3(signature = (folder, *, to, name = Given::Default("material".into()), normals = None))]
     fn export<'py>(
         &self,
         py: Python<'py>,
-        folder: PathBuf,
-        to: &str,
-        name: &str,
-        normals: Option<&str>,
+        folder: Given<'py, PathBuf>,
+        to: Given<'py, String>,
+        name: Given<'py, String>,
+        normals: Option<Given<'py, String>>,
     ) -> PyResult<Json<'py>> {
-        let mut options = ExportOptions::new(choice("to", to, &ExportTarget::ALL, ExportTarget::name)?).name(name);
+        let (folder, normals) = (folder.take("folder")?, maybe("normals", normals)?);
+        let mut options = ExportOptions::new(choice("to", &to.take("to")?, &ExportTarget::ALL, ExportTarget::name)?)
+            .name(name.take("name")?);
         let conventions = [NormalConvention::OpenGl, NormalConvention::DirectX];
         options.normals =
-            normals.map(|name| choice("normals", name, &conventions, NormalConvention::name)).transpose()?;
+            normals.as_deref().map(|name| choice("normals", name, &conventions, NormalConvention::name)).transpose()?;
         let report = detached(py, || self.material.export(folder, &options))?;
         Json::of(py, &report)
     }
@@ -290,7 +305,7 @@ impl PyMaterial {
     /// Raises
     /// ------
     /// ArgumentError
-    ///     For values that are not finite, and a negative intensity.
+    ///     For values that are not finite, camera or light not in front of the surface (z above 0), and a negative intensity.
     /// ShapeError
     ///     For positions of another shape.
     ///
@@ -307,7 +322,7 @@ impl PyMaterial {
         camera: ArrayLike<'py>,
         light: ArrayLike<'py>,
         light_intensity: Option<ArrayLike<'py>>,
-        size: Option<i128>,
+        size: Option<Given<'py, i128>>,
     ) -> PyResult<ImageArray<'py>> {
         let (camera, light) = (triple("camera", &camera)?, triple("light", &light)?);
         let light_intensity = match light_intensity {
@@ -542,6 +557,49 @@ pub fn photo_rmse(py: Python<'_>, rendering: ArrayLike<'_>, photo: ArrayLike<'_>
     detached(py, || metrics::photo_rmse(&rendering, &photo))
 }
 
+/// Errors of a material against the photos of a capture, as the literature has them.
+///
+/// The material is rendered as each photo was taken; then ``photo_rmse``.
+///
+/// Parameters
+/// ----------
+/// material : Material
+///     Of the size of the photos. It must show the same patch: widths in known units (mm, cm, m, in) are converted; where a unit is not
+///     stated the numbers must agree.
+/// capture : Capture
+///
+/// Returns
+/// -------
+/// list of float
+///     One for each photo.
+///
+/// Raises
+/// ------
+/// ArgumentError
+///     If the patches differ in width, or their units cannot be converted.
+/// ShapeError
+///     If the sizes differ.
+///
+/// Examples
+/// --------
+/// >>> capture = svbrdf_gcn.Capture.open("samples/lambert", views=[0, 1])
+/// >>> truth = svbrdf_gcn.Material.load("samples/lambert/truth")
+/// >>> [error < 0.02 for error in svbrdf_gcn.metrics.photo_errors(truth, capture)]
+/// [True, True]
+#[pyfunction]
+pub fn photo_errors<'py>(
+    py: Python<'py>,
+    material: Given<'py, Bound<'py, PyMaterial>>,
+    capture: Given<'py, Bound<'py, PyCapture>>,
+) -> PyResult<Vec<f64>> {
+    let (material, capture) = (material.take("material")?, capture.take("capture")?);
+    let (material, capture) = (&material.get().material, &capture.get().0);
+    let error = |(index, photo): (usize, &Photo)| {
+        metrics::photo_rmse(&render::render_photo(material, capture, index)?, &photo.image)
+    };
+    detached(py, || capture.photos().iter().enumerate().map(error).collect())
+}
+
 /// Errors of a material's maps against the true ones.
 ///
 /// Parameters
@@ -567,9 +625,10 @@ pub fn photo_rmse(py: Python<'_>, rendering: ArrayLike<'_>, photo: ArrayLike<'_>
 #[pyfunction]
 pub fn map_errors<'py>(
     py: Python<'py>,
-    material: &Bound<'py, PyMaterial>,
-    truth: &Bound<'py, PyMaterial>,
+    material: Given<'py, Bound<'py, PyMaterial>>,
+    truth: Given<'py, Bound<'py, PyMaterial>>,
 ) -> PyResult<Json<'py>> {
+    let (material, truth) = (material.take("material")?, truth.take("truth")?);
     let (material, truth) = (material.get(), truth.get());
     let errors = detached(py, || MapErrors::between(&material.material, &truth.material))?;
     Json::of(py, &errors)

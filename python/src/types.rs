@@ -37,13 +37,15 @@ impl<'py> Deref for ArrayLike<'py> {
     }
 }
 
-/// Photos: an array, a sequence of arrays, or a sequence of paths.
+/// Photos: an array, or anything that arrays or paths come out of.
 pub struct Photos<'py>(pub Bound<'py, PyAny>);
 
 impl<'py> FromPyObject<'_, 'py> for Photos<'py> {
     type Error = Infallible;
-    const INPUT_TYPE: PyStaticExpr =
-        type_hint_union!(ARRAY_LIKE, type_hint_subscript!(type_hint_identifier!("collections.abc", "Sequence"), PATH));
+    const INPUT_TYPE: PyStaticExpr = type_hint_union!(
+        ARRAY_LIKE,
+        type_hint_subscript!(type_hint_identifier!("collections.abc", "Iterable"), type_hint_union!(ARRAY_LIKE, PATH))
+    );
 
     fn extract(object: Borrowed<'_, 'py, PyAny>) -> Result<Self, Infallible> {
         Ok(Self(object.to_owned()))

@@ -22,6 +22,7 @@ from ._svbrdf_gcn import (
 )
 from .errors import (
     ArgumentError,
+    BrokenFileError,
     Cancelled,
     FormatError,
     NonFiniteError,
@@ -32,6 +33,7 @@ from .errors import (
 
 __all__ = [
     "ArgumentError",
+    "BrokenFileError",
     "CancelToken",
     "Cancelled",
     "Capture",

@@ -3,13 +3,13 @@ The compiled part of ``svbrdf_gcn``.
 """
 
 from _typeshed import SupportsGetItem
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from numpy import float32, float64
 from numpy.typing import ArrayLike, NDArray
 from os import PathLike
 from typing import Any, Final, SupportsFloat, SupportsIndex, final
 
-__all__ = ["__version__", "CancelToken", "Capture", "Material", "Model", "Principled", "Progress", "command_line", "fit_material", "map_errors", "photo_rmse"]
+__all__ = ["__version__", "CancelToken", "Capture", "Material", "Model", "Principled", "Progress", "command_line", "fit_material", "map_errors", "photo_errors", "photo_rmse"]
 
 __version__: Final[str]
 
@@ -59,7 +59,7 @@ class Capture:
 
     Parameters
     ----------
-    photos : array of shape (N, H, W, 3), or a list of N arrays of shape (H, W, 3) or of N paths of image files
+    photos : array of shape (N, H, W, 3), or an iterable of N arrays of shape (H, W, 3) or of N paths of image files
         uint8 and uint16 stand for values from 0 to 1, floats for themselves. Grey photos and photos with alpha (which is
         ignored) are taken as well. Arrays may have any layout; they are copied.
     camera_positions : array_like of shape (N, 3)
@@ -77,11 +77,11 @@ class Capture:
         Stored value from which on floats are saturated. Integers are at their largest value.
     size : int, optional
         Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
-    views : sequence of int, optional
+    views : iterable of int, optional
         The photos to take, counted from 0.
     color_space : {"rec709", "acescg"}, optional
         Colour space of linear photos and of `light_intensity`, Rec. 709 if not given. Everything is computed in Rec. 709.
-    ignore_profiles : bool
+    ignore_profiles : bool, default False
         Read image files as if they held no colour profiles. Without it their colours are converted where `color_space` is not given.
 
     Raises
@@ -104,7 +104,7 @@ class Capture:
     <svbrdf_gcn.Capture: 2 photos of 6 x 4 pixels, patch 10 wide, transfer srgb>
     """
     def __len__(self, /) -> int: ...
-    def __new__(cls, /, photos: ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, color_space: str | None = None, ignore_profiles: bool = False) -> Capture: ...
+    def __new__(cls, /, photos: ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, color_space: str | None = None, ignore_profiles: bool = ...) -> Capture: ...
     def __repr__(self, /) -> str: ...
     @property
     def camera_positions(self, /) -> NDArray[float64]:
@@ -132,7 +132,7 @@ class Capture:
         Names of the photos: their files', or ``photos[0]`` and so on.
         """
     @staticmethod
-    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = False) -> Capture:
+    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ...) -> Capture:
         """
         Read a capture: its folder or its JSON file.
 
@@ -144,13 +144,13 @@ class Capture:
             Folder, ``capture.json``, or JSON file of svbrdf-diff-renderer.
         size : int, optional
             Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
-        views : sequence of int, optional
+        views : iterable of int, optional
             The photos to take, counted from 0; no others are opened.
         transfer : {"srgb", "gamma2.2", "linear"}, optional
             Replaces what the capture states.
         color_space : {"rec709", "acescg"}, optional
             Replaces what the capture states for linear photos.
-        ignore_profiles : bool
+        ignore_profiles : bool, default False
             Read photos as if their files held no colour profiles.
 
         Returns
@@ -177,13 +177,13 @@ class Capture:
         """
         The photos: linear RGB, read-only arrays of shape (H, W, 3).
         """
-    def select(self, /, views: SupportsGetItem[int, SupportsIndex]) -> Capture:
+    def select(self, /, views: Iterable[SupportsIndex]) -> Capture:
         """
         The capture with only some of its photos.
 
         Parameters
         ----------
-        views : sequence of int
+        views : iterable of int
             The photos to keep, counted from 0, in this order.
 
         Returns
@@ -252,7 +252,8 @@ class Material:
     FormatError
         If they are not floats.
     ArgumentError
-        If a value is not finite, or `patch_size` is not above 0.
+        If a value is not finite, an albedo or roughness outside 0 to 1 by more than 0.001 (values of 0 to 255), a normal's or tangent's length off by
+        more than a tenth (a map that is still encoded), or `patch_size` not above 0.
 
     Examples
     --------
@@ -279,7 +280,7 @@ class Material:
 
         How often the truth lies within one such deviation is measured in ``docs/accuracy.md``.
         """
-    def export(self, /, folder: str | PathLike[str], *, to: str, name: str = "material", normals: str | None = None) -> dict[str, Any]:
+    def export(self, /, folder: str | PathLike[str], *, to: str, name: str = ..., normals: str | None = None) -> dict[str, Any]:
         """
         Write the material for another program.
 
@@ -292,7 +293,7 @@ class Material:
         to : {"materialx", "gltf", "principled", "unreal"}
             MaterialX with an OpenPBR surface, glTF with KHR_materials_specular, maps for Blender's Principled BSDF, or
             maps for Unreal.
-        name : str
+        name : str, default "material"
             What the material is called: letters, digits and underscores, a letter first.
         normals : {"opengl", "directx"}, optional
             Whether green points up or down; what the program expects if not given.
@@ -412,7 +413,7 @@ class Material:
         Raises
         ------
         ArgumentError
-            For values that are not finite, and a negative intensity.
+            For values that are not finite, camera or light not in front of the surface (z above 0), and a negative intensity.
         ShapeError
             For positions of another shape.
 
@@ -438,7 +439,7 @@ class Material:
         """
         Standard deviation of the roughness, a read-only array of shape (H, W, 1); None if not known.
         """
-    def save(self, /, folder: str | PathLike[str], *, format: str = "exr", color_space: str = "rec709") -> None:
+    def save(self, /, folder: str | PathLike[str], *, format: str = ..., color_space: str = ...) -> None:
         """
         Write the maps and ``material.json`` to a folder, which is made if it is not there.
 
@@ -448,9 +449,9 @@ class Material:
         Parameters
         ----------
         folder : str or os.PathLike
-        format : {"exr", "png16", "tiff"}
+        format : {"exr", "png16", "tiff"}, default "exr"
             OpenEXR with half floats, PNG with 16 bits, or TIFF with single floats.
-        color_space : {"rec709", "acescg"}
+        color_space : {"rec709", "acescg"}, default "rec709"
             Colour space of the albedos written.
 
         Raises
@@ -674,7 +675,7 @@ def command_line(arguments: SupportsGetItem[int, str]) -> int:
     It takes over SIGINT: meant for a process of its own.
     """
 
-def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Sequence[str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = False, size: SupportsIndex | None = None, views: SupportsGetItem[int, SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = "balanced", method: str = "auto", weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, finish_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = 0, threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
+def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ..., size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = ..., method: str = ..., weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, finish_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = ..., threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
     """
     Recover the material that photos show.
 
@@ -682,16 +683,16 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
 
     Parameters
     ----------
-    capture_or_photos : Capture, path of a capture, array of shape (N, H, W, 3), or list of arrays or image paths
+    capture_or_photos : Capture, path of a capture, array of shape (N, H, W, 3), or iterable of arrays or image paths
         A ``Capture``, or a path that ``Capture.open`` takes, brings its own positions; photos as arrays or image paths need
         `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
     camera_positions, light_positions, patch_size, light_intensity, white_level : optional
         See ``Capture``.
     transfer, color_space, ignore_profiles, size, views : optional
         See ``Capture`` and ``Capture.open``.
-    preset : {"draft", "balanced", "high"}
+    preset : {"draft", "balanced", "high"}, default "balanced"
         How much time to spend.
-    method : {"auto", "network", "direct"}
+    method : {"auto", "network", "direct"}, default "auto"
         How to get from photos to maps; auto: network.
     weights : Model, str or os.PathLike, optional
         Other weights than those built in.
@@ -699,7 +700,7 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
         Steps on the latent code, the adapters, the maps themselves, the per-pixel finish, instead of the preset's.
     max_memory : int, optional
         Most bytes the run may use; three quarters of the free memory if not given.
-    seed : int
+    seed : int, default 0
         Seed of everything random. The same seed and thread count give the same bits on the same processor.
     threads : int, optional
         Threads; all if not given.
@@ -762,6 +763,39 @@ def map_errors(material: Material, truth: Material) -> dict[str, Any]:
     >>> truth = svbrdf_gcn.Material.load("samples/tiles/truth")
     >>> svbrdf_gcn.metrics.map_errors(truth, truth)["diffuse"]
     {'gamma22': 0.0, 'linear': 0.0}
+    """
+
+def photo_errors(material: Material, capture: Capture) -> list[float]:
+    """
+    Errors of a material against the photos of a capture, as the literature has them.
+
+    The material is rendered as each photo was taken; then ``photo_rmse``.
+
+    Parameters
+    ----------
+    material : Material
+        Of the size of the photos. It must show the same patch: widths in known units (mm, cm, m, in) are converted; where a unit is not
+        stated the numbers must agree.
+    capture : Capture
+
+    Returns
+    -------
+    list of float
+        One for each photo.
+
+    Raises
+    ------
+    ArgumentError
+        If the patches differ in width, or their units cannot be converted.
+    ShapeError
+        If the sizes differ.
+
+    Examples
+    --------
+    >>> capture = svbrdf_gcn.Capture.open("samples/lambert", views=[0, 1])
+    >>> truth = svbrdf_gcn.Material.load("samples/lambert/truth")
+    >>> [error < 0.02 for error in svbrdf_gcn.metrics.photo_errors(truth, capture)]
+    [True, True]
     """
 
 def photo_rmse(rendering: ArrayLike, photo: ArrayLike) -> float:

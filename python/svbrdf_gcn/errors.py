@@ -13,6 +13,7 @@ ArgumentError preset: expected draft, balanced or high, got 'fast'
 
 __all__ = [
     "ArgumentError",
+    "BrokenFileError",
     "Cancelled",
     "FormatError",
     "NonFiniteError",
@@ -40,6 +41,16 @@ class FormatError(SvbrdfError, TypeError):
 
 class WeightsError(SvbrdfError, ValueError):
     """A weights file that is corrupt, of another version, or of another model."""
+
+
+class BrokenFileError(SvbrdfError, OSError):
+    """A file that is truncated or damaged, or a folder in place of a file.
+
+    ``filename`` names it and ``strerror`` says what is wrong; ``errno`` is None, for the system had no objection.
+    """
+
+    def __str__(self):
+        return f"{self.strerror}: {self.filename!r}"
 
 
 class NonFiniteError(SvbrdfError, ArithmeticError):

@@ -1,6 +1,7 @@
 """The Python package: photos in, maps out, errors, threads, signals."""
 
 import gc
+import itertools
 import json
 import os
 import signal
@@ -303,10 +304,14 @@ def test_bad_options_are_named(tiles):
         ({"method": "magic"}, ArgumentError, "method: expected auto, network or direct, got 'magic'"),
         ({"threads": 0}, ArgumentError, "threads: expected at least 1, got 0"),
         ({"seed": -1}, ArgumentError, "seed: expected an integer of 0 or more, got -1"),
-        ({"direct_steps": "many"}, TypeError, "direct_steps"),
+        ({"direct_steps": "many"}, FormatError, r"direct_steps: expected an integer, got 'many' \(str\)"),
+        ({"preset": 3}, FormatError, r"preset: expected a string, got 3 \(int\)"),
+        ({"seed": 1.5}, FormatError, r"seed: expected an integer, got 1.5 \(float\)"),
+        ({"early_stop": "no"}, FormatError, r"early_stop: expected True or False, got 'no' \(str\)"),
         ({"max_memory": 1000}, MemoryError, "max_memory: .*allowed are 1000"),
-        ({"progress": 5}, TypeError, "(?s)expected something to call, got 5.*progress"),
-        ({"cancel": True}, TypeError, "cancel"),
+        ({"progress": 5}, FormatError, r"progress: expected something to call, got 5 \(int\)"),
+        ({"cancel": True}, FormatError, r"cancel: expected a CancelToken, got True \(bool\)"),
+        ({"weights": 3}, FormatError, r"weights: expected a Model or a path \(str or os.PathLike\), got 3 \(int\)"),
         ({"weights": TILES / "00.png"}, WeightsError, "weights: "),
         ({"weights": "no.safetensors"}, FileNotFoundError, "no.safetensors"),
     ]:
@@ -337,9 +342,99 @@ def test_system_errors_say_which_file(tmp_path):
     assert caught.value.filename == str(TILES / "00.png" / "x")
     broken = tmp_path / "broken.png"
     broken.write_bytes((TILES / "00.png").read_bytes()[:5000])
-    with pytest.raises(OSError, match="broken.png") as caught:
+    with pytest.raises(svbrdf_gcn.BrokenFileError) as caught:
         capture_of([broken, broken])
-    assert caught.value.errno is None and caught.value.filename == str(broken)
+    error = caught.value
+    assert isinstance(error, OSError) and error.errno is None and error.filename == str(broken)
+    assert error.strerror and str(error) == f"{error.strerror}: {str(broken)!r}"
+    (tmp_path / "literature").mkdir()
+    (tmp_path / "literature" / "camera_pos.txt").write_text("0,0,9")
+    with pytest.raises(FileNotFoundError, match="light_pos.txt, image_size.txt, light_power.txt") as caught:
+        Capture.open(tmp_path / "literature")
+    assert caught.value.errno == 2
+
+
+def test_wrong_types_are_named():
+    truth = Material.load(TILES / "truth")
+    setup = {"camera_positions": CAMERAS[:2], "patch_size": 10, "light_intensity": 1500, "transfer": "srgb"}
+    photos = two_photos()
+    for call, said in [
+        (lambda: Capture.open(TILES, size="32"), r"size: expected an integer, got '32' \(str\)"),
+        (lambda: Capture.open(TILES, views="0,1"), r"views: expected integers, got '0,1' \(str\)"),
+        (lambda: Capture.open(TILES, views=[0, 1.5]), r"views: expected integers, got \[0, 1.5\] \(list\)"),
+        (lambda: Capture.open(TILES, views=3), r"views: expected integers, got 3 \(int\)"),
+        (lambda: Capture.open(3), r"path: expected a path \(str or os.PathLike\), got 3 \(int\)"),
+        (lambda: Capture(3, **setup), r"photos: expected an array .* got 3 \(int\)"),
+        (lambda: Capture("photos", **setup), r"photos: expected an array .* got 'photos' \(str\)"),
+        (lambda: Capture(photos, **{**setup, "patch_size": "10"}), r"patch_size: expected a number, got '10' \(str\)"),
+        (lambda: Capture(photos, **{**setup, "light_intensity": {}}), r"light_intensity: expected numbers, got {} \(dict\)"),
+        (lambda: fit_material(3), r"photos: expected an array .* got 3 \(int\)"),
+        (lambda: truth.export("x", to=3), r"to: expected a string, got 3 \(int\)"),
+        (lambda: truth.render(CAMERAS[0], CAMERAS[0], size="8"), r"size: expected an integer, got '8' \(str\)"),
+        (lambda: metrics.map_errors(truth, 3), r"truth: expected a Material, got 3 \(int\)"),
+    ]:
+        with pytest.raises(FormatError, match=said):
+            call()
+    for wrong, said in [
+        ([[0, 0, "x"], [0, 0, 9]], "camera_positions: expected numbers, got .*could not convert"),
+        ([[0, 0, 9], [0, 9]], "camera_positions: expected numbers, got .*inhomogeneous"),
+    ]:
+        with pytest.raises(ArgumentError, match=said):
+            Capture(photos, **{**setup, "camera_positions": wrong})
+    with pytest.raises(ZeroDivisionError):
+        Capture.open(TILES, views=(1 // i for i in (1, 0)))
+
+
+def test_generators_are_taken_wherever_lists_are():
+    photos = two_photos()
+    setup = {"patch_size": 10, "transfer": "srgb"}
+    listed = Capture(photos, camera_positions=CAMERAS[:2], light_intensity=[1, 2, 3], **setup)
+    streamed = Capture(
+        (photo for photo in photos),
+        camera_positions=(camera for camera in CAMERAS[:2]),
+        light_intensity=iter([1, 2, 3]),
+        views=(view for view in (0, 1)),
+        **setup,
+    )
+    for a, b in zip(listed.photos, streamed.photos):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(listed.camera_positions, streamed.camera_positions)
+    np.testing.assert_array_equal(listed.light_intensity, streamed.light_intensity)
+    assert len(listed.select(iter([1]))) == 1
+    names = Capture((TILES / f"0{i}.png" for i in range(2)), camera_positions=CAMERAS[:2], light_intensity=1, **setup).names
+    assert names == ["00.png", "01.png"]
+    with pytest.raises(ArgumentError, match="views: expected integers, got count.*more than"):
+        listed.select(itertools.count())
+
+
+def test_what_is_still_encoded_is_refused():
+    codes = [np.full((4, 4, 3), 200.0), np.full((4, 4, 3), 255.0)]
+    with pytest.raises(ArgumentError, match=r"photos\[[01]\]: expected floats of which 1 is white in srgb, at most 8, got up to 2\d\d"):
+        capture_of(codes)
+    grey, flat = np.full((4, 4, 3), 0.5), np.zeros((4, 4, 3)) + [0, 0, 1]
+    for maps, said in [
+        ((grey * 255, grey, grey[..., 0], flat), "diffuse_albedo: expected linear values from 0 to 1, got 127.5"),
+        ((grey, grey - 1, grey[..., 0], flat), "specular_albedo: expected .*got -0.5"),
+        ((grey, grey, 3 * grey[..., 0], flat), "roughness: expected .*got 1.5"),
+        ((grey, grey, grey[..., 0], (flat + 1) / 2), "normal: expected vectors of length 1, got .*1.225.*2 n - 1"),
+    ]:
+        with pytest.raises(ArgumentError, match=said):
+            Material(*maps, patch_size=1)
+
+
+def test_photos_judge_only_materials_of_their_patch():
+    capture = Capture.open(TILES, size=64, views=[0, 1])
+    truth = Material.load(TILES / "truth")
+    maps = [getattr(truth, name)[::4, ::4] for name in MAPS]
+    errors = metrics.photo_errors(Material(*maps, patch_size=10, unit="cm"), capture)
+    assert len(errors) == 2 and capture.unit == "cm"
+    assert metrics.photo_errors(Material(*maps, patch_size=100, unit="mm"), capture) == errors
+    assert metrics.photo_errors(Material(*maps, patch_size=10), capture) == errors
+    for patch_size, unit, said in [(10, "mm", "10 mm"), (0.3, None, r"0.3 \(no unit stated\)"), (9.7, "cm", "9.7 cm")]:
+        with pytest.raises(ArgumentError, match=f"patch_size: the capture's patch is 10 cm wide, the material's {said}"):
+            metrics.photo_errors(Material(*maps, patch_size=patch_size, unit=unit), capture)
+    with pytest.raises(ArgumentError, match="camera: .*behind the sample"):
+        truth.render([0, 0, -9], [0, 0, 9])
 
 
 # Stopping.
