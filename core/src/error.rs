@@ -56,13 +56,15 @@ pub enum Error {
         /// The iteration, counted from 0.
         iteration: usize,
     },
-    /// The run would need more memory than it may use.
-    #[error("max_memory: the run needs about {needed} bytes, allowed are {allowed}")]
+    /// More memory than may be used, or than the system gives.
+    #[error("{}", out_of_memory(what, *needed, *allowed))]
     OutOfMemory {
-        /// Estimated need in bytes.
+        /// What needs it.
+        what: String,
+        /// The need in bytes, estimated where there is a limit.
         needed: u64,
-        /// The limit in bytes.
-        allowed: u64,
+        /// The limit in bytes; `None` where the system refused.
+        allowed: Option<u64>,
     },
     /// The caller asked to stop; nothing is wrong.
     #[error("cancelled")]
@@ -71,6 +73,13 @@ pub enum Error {
 
 /// [`std::result::Result`] with this crate's [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
+
+fn out_of_memory(what: &str, needed: u64, allowed: Option<u64>) -> String {
+    match allowed {
+        Some(allowed) => format!("max_memory: {what} needs about {needed} bytes, allowed are {allowed}"),
+        None => format!("memory: {what} need {needed} bytes, which the system refuses"),
+    }
+}
 
 impl Error {
     /// An [`Error::InvalidArgument`].

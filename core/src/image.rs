@@ -1,6 +1,7 @@
 //! Pixels in memory: interleaved rows for everything that crosses the API.
 
 use crate::error::{Error, Result};
+use crate::memory;
 
 /// An image of `f32`, rows from the top, channels interleaved: the value of channel `c` at row `i`, column `j` is
 /// `data[(i * width + j) * channels + c]`.
@@ -55,23 +56,26 @@ impl Image {
     }
 
     /// The values, channel by channel: all of channel 0, then all of channel 1, ...
-    pub fn to_planar(&self) -> Vec<f32> {
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`] if the system refuses memory for them.
+    pub fn to_planar(&self) -> Result<Vec<f32>> {
         let pixels = self.width * self.height;
-        let mut planar = vec![0.0; self.data.len()];
+        let mut planar = memory::filled(0.0, self.data.len())?;
         for (p, pixel) in self.data.chunks_exact(self.channels).enumerate() {
             for (c, &value) in pixel.iter().enumerate() {
                 planar[c * pixels + p] = value;
             }
         }
-        planar
+        Ok(planar)
     }
 
     /// The inverse of [`Image::to_planar`].
     ///
     /// # Errors
-    /// As [`Image::new`].
+    /// As [`Image::new`] and [`Image::to_planar`].
     pub fn from_planar(width: usize, height: usize, channels: usize, planar: &[f32]) -> Result<Self> {
-        let mut image = Self::new(width, height, channels, planar.to_vec())?;
+        let mut image = Self::new(width, height, channels, memory::filled(0.0, planar.len())?)?;
         let pixels = width * height;
         for (p, pixel) in image.data.chunks_exact_mut(channels).enumerate() {
             for (c, value) in pixel.iter_mut().enumerate() {
@@ -89,8 +93,8 @@ mod tests {
     #[test]
     fn planar_and_back() {
         let image = Image::new(2, 1, 3, vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]).unwrap();
-        assert_eq!(image.to_planar(), [1.0, 4.0, 2.0, 5.0, 3.0, 6.0]);
-        assert_eq!(Image::from_planar(2, 1, 3, &image.to_planar()).unwrap(), image);
+        assert_eq!(image.to_planar().unwrap(), [1.0, 4.0, 2.0, 5.0, 3.0, 6.0]);
+        assert_eq!(Image::from_planar(2, 1, 3, &image.to_planar().unwrap()).unwrap(), image);
     }
 
     #[test]

@@ -12,8 +12,10 @@ pub mod image;
 pub mod io;
 pub mod maps;
 pub mod material;
+mod memory;
 pub mod metrics;
 pub mod nn;
+mod pool;
 pub mod render;
 #[cfg(feature = "train")]
 pub mod train;

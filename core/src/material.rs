@@ -3,6 +3,7 @@
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
+use crate::memory;
 use crate::unit::Unit;
 
 /// The maps of a material, each an (H, W, C) image, rows from the top.
@@ -57,12 +58,12 @@ impl Material {
         let image = |channels: usize, planar: &[f32]| Image::from_planar(maps.width(), maps.height(), channels, planar);
         let limited = |first: usize, count: usize| {
             let planes = &maps.data()[first * pixels..(first + count) * pixels];
-            image(count, &planes.iter().map(|value| value.clamp(0.0, 1.0)).collect::<Vec<_>>())
+            image(count, &memory::collected(planes.len(), planes.iter().map(|value| value.clamp(0.0, 1.0)))?)
         };
         let vector = |first: usize, p: usize| [0, 1, 2].map(|i| f64::from(maps.plane(first + i)[p]));
         let vectors = |at: &dyn Fn(usize) -> [f64; 3]| {
-            let data = (0..pixels).flat_map(|p| at(p).map(|component| component as f32)).collect();
-            Image::new(maps.width(), maps.height(), 3, data)
+            let values = (0..pixels).flat_map(|p| at(p).map(|component| component as f32));
+            Image::new(maps.width(), maps.height(), 3, memory::collected(3 * pixels, values)?)
         };
         let normal = |p: usize| unit(vector(NORMAL_PLANE, p)).unwrap_or([0.0, 0.0, 1.0]);
         let tangent = |p: usize| {
@@ -133,7 +134,7 @@ impl Material {
         check_patch_size(self.patch_size)?;
         let lobe = self.lobe();
         let (width, height) = (self.normal.width(), self.normal.height());
-        let mut data = Vec::with_capacity(lobe.planes() * width * height);
+        let mut data = memory::reserved(lobe.planes().saturating_mul(width * height))?;
         let mut push = |name: &str, image: &Image, channels: usize, limited: bool| {
             if (image.width(), image.height(), image.channels()) != (width, height, channels) {
                 let got = format!("({}, {}, {})", image.height(), image.width(), image.channels());
@@ -143,7 +144,7 @@ impl Material {
                 return Err(Error::invalid(name, format!("expected finite values, got {value}")));
             }
             let limit = |value: f32| if limited { value.clamp(0.0, 1.0) } else { value };
-            data.extend(image.to_planar().into_iter().map(limit));
+            data.extend(image.to_planar()?.into_iter().map(limit));
             Ok(())
         };
         push("diffuse_albedo", &self.diffuse_albedo, 3, true)?;

@@ -230,7 +230,7 @@ fn wrong_photos() {
     }
     fs::remove_file(dir.path().join("02.png")).unwrap();
     fs::create_dir(dir.path().join("02.png")).unwrap();
-    assert_mentions(&message(dir.path()), &["02.png", "not a file"]);
+    assert_mentions(&message(dir.path()), &["02.png", "a folder"]);
 }
 
 #[test]

@@ -120,3 +120,22 @@ fn the_callback_runs_on_the_calling_thread() {
     fit_material(&capture, None, &FitOptions::preset(Preset::Draft).direct_steps(10), &mut check).unwrap();
     assert!(calls >= 10);
 }
+
+#[test]
+fn numbers_out_of_range_are_named_with_both_values() {
+    let capture = sample("lambert", 8);
+    let options = FitOptions::preset(Preset::Draft);
+    let cases = [
+        (options.clone().direct_steps(10_000_001), ["direct_steps", "10000000", "10000001"]),
+        (options.clone().finish_steps(usize::MAX), ["finish_steps", "10000000", "18446744073709551615"]),
+        (options.clone().threads(20_000), ["threads", "1024", "20000"]),
+        (options.threads(0), ["threads", "1 to 1024", "got 0"]),
+    ];
+    for (options, parts) in cases {
+        let message = fit_material(&capture, None, &options, &mut go_on).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+    }
+    let many = vec![capture.photos()[0].clone(); 4097];
+    let message = Capture::new(many, 1.0, capture.transfer()).unwrap_err().to_string();
+    assert!(message.contains("4096") && message.contains("4097"), "{message}");
+}

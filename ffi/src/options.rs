@@ -3,6 +3,7 @@
 use std::ffi::{c_char, c_void};
 use std::ptr;
 
+use svbrdf_gcn::capture::MAX_PHOTOS;
 use svbrdf_gcn::io::material::{MaterialFormat, SaveOptions};
 use svbrdf_gcn::{
     CancelToken, CaptureOptions, ColorSpace, ExportOptions, ExportTarget, FitOptions, Method, NormalConvention, Preset,
@@ -23,9 +24,6 @@ use svbrdf_gcn_transfer::*;
 
 /// The largest `struct_size` that is believed.
 const MAX_STRUCT_SIZE: usize = 1 << 16;
-
-/// The most photos that may be chosen.
-const MAX_VIEWS: usize = 1 << 20;
 
 /// A struct that C allocates and whose first field is its size. All fields may hold any bits.
 pub(crate) trait SizeFirst: Copy {
@@ -377,10 +375,10 @@ impl svbrdf_gcn_capture_options {
     pub(crate) unsafe fn capture_options(&self) -> Result<CaptureOptions> {
         let mut options = CaptureOptions::new();
         options.size = given("size", self.size)?;
-        if self.view_count > MAX_VIEWS {
+        if self.view_count > MAX_PHOTOS {
             return Err(Failure::invalid(
                 "view_count",
-                format!("expected at most {MAX_VIEWS}, got {}", self.view_count),
+                format!("expected at most {MAX_PHOTOS}, got {}", self.view_count),
             ));
         }
         options.views = match (self.views.is_null(), self.view_count) {

@@ -219,6 +219,28 @@ def test_image_files_are_photos(tiles):
     np.testing.assert_array_equal(again.photos, capture.photos)
 
 
+FORK = """
+import multiprocessing, sys, svbrdf_gcn
+def work(size):
+    capture = svbrdf_gcn.Capture.open("samples/lambert", size=size)
+    return svbrdf_gcn.fit_material(capture, preset="draft", direct_steps=1, finish_steps=0).width
+work(16)
+with multiprocessing.get_context("fork").Pool(2) as pool:
+    print(pool.map_async(work, [16, 16, 16]).get(60))
+"""
+
+
+def test_children_by_fork_read_and_fit_too():
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", FORK], capture_output=True, text=True, timeout=120)
+    assert done.stdout.strip() == "[16, 16, 16]", done.stderr
+
+
+def test_a_named_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "capture.json")
+    with pytest.raises(OSError, match="named pipe"):
+        svbrdf_gcn.Capture.open(tmp_path / "capture.json")
+
+
 def test_a_capture_tells_what_it_holds(tiles):
     stated = json.loads((TILES / "capture.json").read_text())
     np.testing.assert_array_equal(tiles.camera_positions, [photo["camera"] for photo in stated["photos"]])

@@ -17,8 +17,12 @@ use crate::io::profile::{Decoding, FileColors, Stated};
 use crate::io::resize::{fit_size, shrink};
 use crate::io::{Pixels, RowReader, Samples, read_stored};
 use crate::unit::Unit;
+use crate::{memory, pool};
 
 use layout::{Entry, Layout};
+
+/// The most photos of a capture: no walk around a sample takes as many.
+pub const MAX_PHOTOS: usize = 4096;
 
 /// Where camera and light stood for one photo, and how bright the light was.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -293,18 +297,12 @@ impl Capture {
             Some(views) => check_views(views, entries.len())?.iter().map(|&view| &entries[view]).collect(),
             None => entries.iter().collect(),
         };
-        let loaded = selected
-            .par_iter()
-            .map(|entry| {
-                let stored = read_stored(&entry.path)?;
-                let (pixels, colors) = (stored.pixels(), stored.colors.as_ref());
-                let photo = develop(&entry.name, entry.shot, pixels, colors, encoding, options.size)?;
-                Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
-            })
-            .collect::<Vec<_>>()
-            // Of several bad photos the first is reported, every time.
-            .into_iter()
-            .collect::<Result<Vec<_>>>()?;
+        let loaded = all(&selected, |entry| {
+            let stored = read_stored(&entry.path)?;
+            let (pixels, colors) = (stored.pixels(), stored.colors.as_ref());
+            let photo = develop(&entry.name, entry.shot, pixels, colors, encoding, options.size)?;
+            Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
+        })?;
         Self::assemble(loaded, patch_size, unit, options.size)
     }
 
@@ -354,17 +352,11 @@ impl Capture {
             Some(views) => check_views(views, photos.len())?.iter().map(|&view| &photos[view]).collect(),
             None => photos.iter().collect(),
         };
-        let loaded = selected
-            .par_iter()
-            .map(|photo| {
-                let PhotoPixels { name, shot, width, height, channels, samples } = **photo;
-                let pixels = Pixels { width, height, channels, samples };
-                develop(name, shot, pixels, None, encoding, options.size)
-            })
-            .collect::<Vec<_>>()
-            // Of several bad photos the first is reported, every time.
-            .into_iter()
-            .collect::<Result<Vec<_>>>()?;
+        let loaded = all(&selected, |photo| {
+            let PhotoPixels { name, shot, width, height, channels, samples } = *photo;
+            let pixels = Pixels { width, height, channels, samples };
+            develop(name, shot, pixels, None, encoding, options.size)
+        })?;
         Self::assemble(loaded, patch_size, None, options.size)
     }
 
@@ -373,6 +365,7 @@ impl Capture {
     /// # Errors
     /// As [`Capture::from_photos`].
     pub fn new(photos: Vec<Photo>, patch_size: f64, transfer: Transfer) -> Result<Self> {
+        check_count(photos.len())?;
         check_patch_size(patch_size)?;
         for photo in &photos {
             photo.shot.check(&photo.name)?;
@@ -452,6 +445,7 @@ impl Capture {
             let (expected, got) = (self.transfer.name(), other.transfer.name());
             return Err(Error::invalid("transfer", format!("expected {expected}, got {got}")));
         }
+        check_count(self.photos.len() + other.photos.len())?;
         let new = other.warnings.into_iter().filter(|warning| !self.warnings.contains(warning)).collect::<Vec<_>>();
         self.warnings.extend(new);
         self.photos.extend(other.photos);
@@ -560,9 +554,9 @@ fn develop(
     let full_size = (pixels.width, pixels.height);
     let (width, height) = fit_size(pixels.width, pixels.height, size);
     let (mut values, mut saturated) =
-        shrink(full_size, (width, height), colors, |y, row, mask| reader.read(y, row, Some(mask)));
+        shrink(full_size, (width, height), colors, |y, row, mask| reader.read(y, row, Some(mask)))?;
     if colors == 1 {
-        values = values.iter().flat_map(|&grey| [grey; 3]).collect();
+        values = memory::collected(3 * values.len(), values.iter().flat_map(|&grey| [grey; 3]))?;
         for bits in &mut saturated {
             *bits *= 7;
         }
@@ -634,6 +628,24 @@ fn check_finite(name: &str, values: &[f32], row: usize) -> Result<()> {
         Some(at) => Err(Error::invalid(name, format!("pixel value {} in row {}", values[at], at / row.max(1)))),
         None => Ok(()),
     }
+}
+
+/// Loads photos on threads of our own. Of several bad ones the first is reported, every time.
+fn all<T: Sync>(photos: &[&T], load: impl Fn(&T) -> Result<Loaded> + Sync + Send) -> Result<Vec<Loaded>> {
+    check_count(photos.len())?;
+    pool::inside(|| Ok(photos.par_iter().map(|photo| load(photo)).collect::<Vec<_>>()))?.into_iter().collect()
+}
+
+/// # Errors
+/// [`Error::InvalidArgument`] for more photos than are taken.
+fn check_count(count: usize) -> Result<()> {
+    if count > MAX_PHOTOS {
+        return Err(Error::invalid(
+            "photos",
+            format!("expected at most {MAX_PHOTOS}, got {count}: choose some with views"),
+        ));
+    }
+    Ok(())
 }
 
 fn check_views(views: &[usize], photos: usize) -> Result<&[usize]> {

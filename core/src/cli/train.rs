@@ -7,8 +7,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{complain, say};
 use crate::error::{Error, Result, printable};
-use crate::fit::pool;
 use crate::fit::progress::CancelToken;
+use crate::pool::pool;
 use crate::train::{Configuration, Event, RunOptions, Validation, run as train};
 
 /// Positions of the progress bar.

@@ -62,7 +62,7 @@ pub fn write(material: &Material, writer: &mut Writer<'_>) -> Result<Content> {
     write_scene(material, writer, surface, &textures, &used)?;
 
     let mut content = Content::new(maps.loss);
-    content.loss_without_extensions = Some(maps.loss_with_usual_dielectric(material));
+    content.loss_without_extensions = Some(maps.loss_with_usual_dielectric(material)?);
     if material.tangent.is_some() {
         content.lost.push("viewers without KHR_materials_anisotropy show the lesser roughness only".to_owned());
     }

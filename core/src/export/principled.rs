@@ -18,6 +18,7 @@ use serde::Serialize;
 use crate::error::Result;
 use crate::image::Image;
 use crate::material::Material;
+use crate::{memory, pool};
 
 /// The brightest normal reflectance that a dielectric has in practice (index of refraction 1.79); Blender's specular level 1, Unreal's specular 1.
 pub const DIELECTRIC_MAX: f64 = 0.08;
@@ -198,15 +199,13 @@ fn grey(target: Dielectric, p: f64, m: f64, diffuse: [f64; 3], specular: [f64; 3
 }
 
 /// Diffuse and specular reflectance at normal incidence of every pixel.
-fn reflectances(material: &Material) -> Vec<([f64; 3], [f64; 3])> {
-    let albedos = material.diffuse_albedo.data().as_chunks::<3>().0.iter();
-    albedos
-        .zip(material.specular_albedo.data().as_chunks::<3>().0)
-        .map(|(d, s)| {
-            let specular = s.map(f64::from);
-            (std::array::from_fn(|c| f64::from(d[c]) * (1.0 - specular[c])), specular)
-        })
-        .collect()
+fn reflectances(material: &Material) -> Result<Vec<([f64; 3], [f64; 3])>> {
+    let albedos = material.diffuse_albedo.data().as_chunks::<3>().0;
+    let both = albedos.iter().zip(material.specular_albedo.data().as_chunks::<3>().0).map(|(d, s)| {
+        let specular = s.map(f64::from);
+        (std::array::from_fn(|c| f64::from(d[c]) * (1.0 - specular[c])), specular)
+    });
+    memory::collected(albedos.len(), both)
 }
 
 /// How far the solutions are from the reflectances they stand for.
@@ -231,14 +230,18 @@ pub(super) struct Metallic {
 
 impl Metallic {
     pub fn new(material: &Material, target: Dielectric) -> Result<Self> {
-        let pixels = reflectances(material);
-        let solutions: Vec<Solution> = pixels.par_iter().map(|&(d, s)| Solution::new(target, d, s)).collect();
+        let pixels = reflectances(material)?;
+        let mut solutions = memory::reserved(pixels.len())?;
+        pool::inside(|| {
+            solutions.par_extend(pixels.par_iter().map(|&(d, s)| Solution::new(target, d, s)));
+            Ok(())
+        })?;
         let (width, height) = (material.width(), material.height());
         let image = |values: &dyn Fn(&Solution) -> [f64; 3]| {
-            let data = solutions.iter().flat_map(|s| values(s).map(|value| value as f32)).collect();
-            Image::new(width, height, 3, data)
+            let values = solutions.iter().flat_map(|s| values(s).map(|value| value as f32));
+            Image::new(width, height, 3, memory::collected(3 * solutions.len(), values)?)
         };
-        let metallic = solutions.iter().map(|s| s.metallic as f32).collect();
+        let metallic = memory::collected(solutions.len(), solutions.iter().map(|s: &Solution| s.metallic as f32))?;
         Ok(Self {
             base_color: image(&|s| s.base)?,
             metallic: Image::new(width, height, 1, metallic)?,
@@ -248,14 +251,15 @@ impl Metallic {
     }
 
     /// The loss where a viewer takes the usual dielectric part, glTF's without extensions, instead of this one.
-    pub fn loss_with_usual_dielectric(&self, material: &Material) -> Loss {
+    pub fn loss_with_usual_dielectric(&self, material: &Material) -> Result<Loss> {
         let colors = self.base_color.data().as_chunks::<3>().0.iter().zip(self.metallic.data());
         let usual = |(base, &metallic): (&[f32; 3], &f32)| Solution {
             base: base.map(f64::from),
             metallic: metallic.into(),
             dielectric: [DIELECTRIC_USUAL; 3],
         };
-        loss(Dielectric::FREE, &colors.map(usual).collect::<Vec<_>>(), &reflectances(material))
+        let solutions = memory::collected(colors.len(), colors.map(usual))?;
+        Ok(loss(Dielectric::FREE, &solutions, &reflectances(material)?))
     }
 
     /// The brightest channel of the dielectric part, and its colour, 1 in that channel (white where it is black).

@@ -12,8 +12,9 @@ use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::io::ours::{self, Description, names_in, says_ours};
 use crate::io::save::{Saving, is_plain};
-use crate::io::{png8, png16};
+use crate::io::{MAX_DECODED_BYTES, png8, png16, read_file};
 use crate::material::Material;
+use crate::memory;
 use crate::unit::Unit;
 
 pub struct Writer<'a> {
@@ -51,7 +52,8 @@ impl<'a> Writer<'a> {
             NormalConvention::DirectX => -1.0,
         };
         let stored = image.data().as_chunks::<3>().0.iter();
-        let data = stored.flat_map(|[x, y, z]| [x, &(up * y), z].map(|v| (v + 1.0) / 2.0)).collect();
+        let values = stored.flat_map(|[x, y, z]| [x, &(up * y), z].map(|v| (v + 1.0) / 2.0));
+        let data = memory::collected(image.data().len(), values)?;
         let holds = format!("{holds}, {}", self.normals.name());
         self.data(stem, bits, &Image::new(image.width(), image.height(), 3, data)?, &holds)
     }
@@ -152,7 +154,7 @@ impl Former {
     fn check(&self, folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
         for (name, bytes) in files.iter().filter(|(name, _)| self.others.contains(name)) {
             let path = folder.join(name);
-            if std::fs::read(&path).map_err(|e| Error::io(&path, e))? != *bytes {
+            if read_file(&path, MAX_DECODED_BYTES)? != *bytes {
                 let reason = "another export in this folder uses this file, so it is not replaced; choose another folder, or remove that export";
                 return Err(Error::invalid(path.display().to_string(), reason));
             }

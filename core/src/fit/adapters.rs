@@ -262,8 +262,8 @@ mod tests {
             let mut readout = Readout::new(&feature, m, &outputs, decoding, 2.0, &targets).unwrap();
             let descent = fit_adapters(&mut readout, &mut params, 150, None, &mut control).unwrap();
             let maps = readout.maps().clone();
-            assert_eq!((descent.steps(), descent.rollbacks), (150, 0));
-            assert!(descent.best_loss < 0.6 * descent.losses[0], "{} {}", descent.losses[0], descent.best_loss);
+            assert_eq!((descent.steps, descent.rollbacks), (150, 0));
+            assert!(descent.best_loss < 0.6 * descent.first_loss, "{} {}", descent.first_loss, descent.best_loss);
             let mut readout = Readout::new(&feature, m, &outputs, decoding, 2.0, &targets).unwrap();
             let values: Vec<f32> = params.iter().flat_map(|adapter| adapter.values.clone()).collect();
             assert_eq!(readout.loss(&values, None, None, &mut control).unwrap(), descent.best_loss);

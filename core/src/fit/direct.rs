@@ -123,7 +123,7 @@ pub(crate) fn fit_direct(
         let (begin, end) = (begins(round), begins(round + 1));
         let (next, descent) = problem.fit(end - begin, [begin, steps - end], control)?;
         maps = next;
-        whole.losses.extend(&descent.losses[1..]);
+        whole.steps += descent.steps;
         whole.best_loss = descent.best_loss;
         whole.rollbacks += descent.rollbacks;
     }

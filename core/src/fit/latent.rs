@@ -50,7 +50,7 @@ pub fn fit_latent(
     });
     code.latent = latent;
     let descent = result?;
-    if descent.best_step != descent.steps() {
+    if descent.best_step != descent.steps {
         // The last code evaluated was not the best.
         readout.set_feature(&network.decode(&code.latent, code, control)?)?;
     }

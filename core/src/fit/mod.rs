@@ -10,7 +10,7 @@ mod direct;
 mod finish;
 pub mod latent;
 mod light;
-pub(crate) mod memory;
+mod memory;
 mod network;
 pub mod options;
 mod predicted;
@@ -24,10 +24,11 @@ use std::sync::mpsc;
 use std::time::Instant;
 
 use crate::capture::Capture;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::material::Material;
 use crate::metrics::photo_rmse;
 use crate::nn::{Model, Network, PhotoGraph};
+use crate::pool::pool;
 use crate::render::{Target, render};
 pub use deviations::Deviations;
 use direct::{Direct, fit_direct};
@@ -62,6 +63,7 @@ pub fn fit_material(
     progress: &mut ProgressFn<'_>,
 ) -> Result<Fit> {
     let started = Instant::now();
+    options.check()?;
     let mut warnings = capture.warnings().to_vec();
     let mut embedded = None;
     let way = match options.method {
@@ -78,7 +80,7 @@ pub fn fit_material(
         }
     };
     let pool = pool(options.threads)?;
-    memory::check(memory::estimate(capture, way), options.max_memory)?;
+    crate::memory::check("the run", memory::estimate(capture, way), crate::memory::allowed(options.max_memory))?;
     on_pool(&pool, options.cancel.clone(), progress, |control| {
         let mut stages = Vec::new();
         let alone = |maps| Predicted { maps, gains: None, deviations: None, belief: None };
@@ -167,15 +169,4 @@ fn on_pool<T: Send>(
         // A panic in the work goes on in the caller, whose guard expects it there.
         worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     })
-}
-
-/// A pool of its own for each fit, so that the host's global one stays as it is.
-pub(crate) fn pool(threads: Option<usize>) -> Result<rayon::ThreadPool> {
-    if threads == Some(0) {
-        return Err(Error::invalid("threads", "expected at least 1, got 0"));
-    }
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.unwrap_or(0))
-        .build()
-        .map_err(|error| Error::invalid("threads", format!("{threads:?} threads cannot be started: {error}")))
 }

@@ -36,8 +36,8 @@ pub(crate) fn fit_network(
     let stored = |linear: f32| Transfer::Gamma22.encode(linear).min(1.0);
     let photos: Vec<Vec<f32>> = capture.photos()[..config.photos]
         .iter()
-        .map(|photo| photo.image.to_planar().into_iter().map(stored).collect())
-        .collect();
+        .map(|photo| Ok(photo.image.to_planar()?.into_iter().map(stored).collect()))
+        .collect::<Result<_>>()?;
     let photos: Vec<&[f32]> = photos.iter().map(Vec::as_slice).collect();
     let mut code = network.encode(&photos, capture.height(), capture.width(), control)?;
     control.report(Stage::Encode, 1, 1, None)?;

@@ -2,7 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::{Error, Result};
 use crate::fit::progress::CancelToken;
+
+/// The most steps a stage takes: days, even on small photos.
+pub const MAX_STEPS: usize = 10_000_000;
 
 /// How much time a fit may spend: the lengths of its stages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -75,7 +79,7 @@ pub enum Method {
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct FitOptions {
-    /// Lengths of the stages that the next three fields leave open.
+    /// Lengths of the stages that the fields for steps leave open. Each of these is at most [`MAX_STEPS`].
     pub preset: Preset,
     /// The way from photos to maps.
     pub method: Method,
@@ -91,7 +95,7 @@ pub struct FitOptions {
     pub max_memory: Option<u64>,
     /// Seed of everything random. The same seed, thread count and CPU give the same bits.
     pub seed: u64,
-    /// Threads; all the machine offers if `None`.
+    /// Threads, 1 to 1024; all the machine offers if `None`.
     pub threads: Option<usize>,
     /// Stop a stage when its loss has flattened; on if `None`.
     pub early_stop: Option<bool>,
@@ -100,6 +104,23 @@ pub struct FitOptions {
 }
 
 impl FitOptions {
+    /// # Errors
+    /// [`Error::InvalidArgument`] naming a number of steps that is too large. Threads are checked where they are started.
+    pub(crate) fn check(&self) -> Result<()> {
+        let steps = [
+            ("latent_steps", self.latent_steps),
+            ("adapter_steps", self.adapter_steps),
+            ("direct_steps", self.direct_steps),
+            ("finish_steps", self.finish_steps),
+        ];
+        match steps.into_iter().find(|(_, steps)| steps.is_some_and(|steps| steps > MAX_STEPS)) {
+            Some((name, Some(steps))) => {
+                Err(Error::invalid(name, format!("expected at most {MAX_STEPS}, got {steps}")))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The defaults of a preset.
     pub fn preset(preset: Preset) -> Self {
         Self { preset, ..Self::default() }

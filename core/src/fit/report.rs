@@ -31,8 +31,8 @@ impl StageReport {
     pub(crate) fn new(stage: Stage, descent: &Descent, seconds: f64) -> Self {
         Self {
             stage,
-            steps: descent.steps(),
-            first_loss: descent.losses.first().copied().unwrap_or(f64::NAN),
+            steps: descent.steps,
+            first_loss: descent.first_loss,
             best_loss: descent.best_loss,
             rollbacks: descent.rollbacks,
             stopped_early: descent.stopped_early,

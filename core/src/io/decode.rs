@@ -1,6 +1,6 @@
 //! Image files as their stored pixels.
 
-use std::io::{Cursor, Read};
+use std::io::Cursor;
 use std::path::Path;
 
 use image::codecs::jpeg::JpegDecoder;
@@ -9,10 +9,11 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageError};
 
 use super::profile::{Decoding, FileColors};
-use super::{exr, jpeg, tiff};
+use super::{exr, jpeg, read_file, tiff};
 use crate::color::{Chromaticities, Transfer};
 use crate::error::{Error, Result};
 use crate::image::Image;
+use crate::memory;
 
 /// The largest image that is read, in bytes of its stored pixels.
 pub const MAX_DECODED_BYTES: u64 = 1 << 30;
@@ -113,7 +114,7 @@ impl Stored {
         let colors = pixels.colors();
         let decoding = Decoding::transfer(transfer);
         let reader = RowReader::new(pixels, &decoding, None);
-        let mut data = vec![0.0; self.width * self.height * colors];
+        let mut data = memory::filled(0.0, self.width * self.height * colors)?;
         for (y, row) in data.chunks_exact_mut(self.width * colors).enumerate() {
             reader.read(y, row, None);
         }
@@ -121,20 +122,20 @@ impl Stored {
     }
 
     /// Turns the image the way its orientation tag asks for.
-    pub(super) fn orient(self, orientation: Orientation) -> Self {
+    pub(super) fn orient(self, orientation: Orientation) -> Result<Self> {
         if orientation == Orientation::NoTransforms {
-            return self;
+            return Ok(self);
         }
         let (width, height, channels) = (self.width, self.height, self.channels);
         let samples = match self.samples {
-            OwnedSamples::U8(values) => OwnedSamples::U8(oriented(&values, width, height, channels, orientation)),
-            OwnedSamples::U16(values) => OwnedSamples::U16(oriented(&values, width, height, channels, orientation)),
-            OwnedSamples::F32(values) => OwnedSamples::F32(oriented(&values, width, height, channels, orientation)),
+            OwnedSamples::U8(values) => OwnedSamples::U8(oriented(&values, width, height, channels, orientation)?),
+            OwnedSamples::U16(values) => OwnedSamples::U16(oriented(&values, width, height, channels, orientation)?),
+            OwnedSamples::F32(values) => OwnedSamples::F32(oriented(&values, width, height, channels, orientation)?),
         };
         let (width, height) = if swaps_axes(orientation) { (height, width) } else { (width, height) };
         let mut notes = self.notes;
         notes.push(format!("orientation {} of the file applied", orientation.to_exif()));
-        Self { width, height, channels, samples, colors: self.colors, notes }
+        Ok(Self { width, height, channels, samples, colors: self.colors, notes })
     }
 }
 
@@ -144,9 +145,15 @@ fn swaps_axes(orientation: Orientation) -> bool {
 }
 
 /// The values of an image of `width` x `height` turned by `orientation`.
-fn oriented<T: Copy>(values: &[T], width: usize, height: usize, channels: usize, orientation: Orientation) -> Vec<T> {
+fn oriented<T: Copy>(
+    values: &[T],
+    width: usize,
+    height: usize,
+    channels: usize,
+    orientation: Orientation,
+) -> Result<Vec<T>> {
     let (out_width, out_height) = if swaps_axes(orientation) { (height, width) } else { (width, height) };
-    let mut out = Vec::with_capacity(values.len());
+    let mut out = memory::reserved(values.len())?;
     for row in 0..out_height {
         for column in 0..out_width {
             let (x, y) = match orientation {
@@ -163,7 +170,7 @@ fn oriented<T: Copy>(values: &[T], width: usize, height: usize, channels: usize,
             out.extend_from_slice(&values[start..start + channels]);
         }
     }
-    out
+    Ok(out)
 }
 
 /// Rows of stored pixels as values without alpha that `decoding` makes linear.
@@ -236,24 +243,6 @@ impl<'a> RowReader<'a> {
 /// Reads and decodes the file `path`.
 pub(crate) fn read_stored(path: &Path) -> Result<Stored> {
     decode(path, &read_file(path, MAX_DECODED_BYTES + SMALL_FILE)?)
-}
-
-/// The bytes of a regular file of at most `max` bytes.
-pub(crate) fn read_file(path: &Path, max: u64) -> Result<Vec<u8>> {
-    let file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
-    let metadata = file.metadata().map_err(|e| Error::io(path, e))?;
-    if !metadata.is_file() {
-        return Err(Error::io(path, std::io::Error::other("not a file")));
-    }
-    if metadata.len() > max {
-        return Err(Error::invalid(
-            path.display().to_string(),
-            format!("file of {} bytes, at most {max} are read", metadata.len()),
-        ));
-    }
-    let mut bytes = Vec::with_capacity(metadata.len() as usize);
-    file.take(max).read_to_end(&mut bytes).map_err(|e| Error::io(path, e))?;
-    Ok(bytes)
 }
 
 /// Decodes the bytes of an image file; `path` is its name in messages.
@@ -420,7 +409,7 @@ fn decode_with(path: &Path, bytes: &[u8], mut decoder: impl ImageDecoder) -> Res
     let colors = profile.or(exif.colors);
     let stored =
         Stored { width: width as usize, height: height as usize, channels, samples, colors, notes: Vec::new() };
-    Ok(stored.orient(exif.orientation.unwrap_or(Orientation::NoTransforms)))
+    stored.orient(exif.orientation.unwrap_or(Orientation::NoTransforms))
 }
 
 fn image_error(path: &Path, error: ImageError) -> Error {
@@ -429,15 +418,6 @@ fn image_error(path: &Path, error: ImageError) -> Error {
         ImageError::IoError(error) => Error::io(path, error),
         error => broken(path, error),
     }
-}
-
-/// `len` values, none of which is there before memory for all of them is.
-pub(super) fn zeroed<T: Copy + Default>(len: usize) -> Result<Vec<T>> {
-    let mut values = Vec::new();
-    let bytes = (len as u64).saturating_mul(size_of::<T>() as u64);
-    values.try_reserve_exact(len).map_err(|_| Error::OutOfMemory { needed: bytes, allowed: 0 })?;
-    values.resize(len, T::default());
-    Ok(values)
 }
 
 #[cfg(test)]
@@ -461,7 +441,7 @@ mod tests {
         ];
         for (exif, width, values) in stored {
             let orientation = Orientation::from_exif(exif).unwrap();
-            assert_eq!(oriented(&values, width, 6 / width, 1, orientation), upright, "orientation {exif}");
+            assert_eq!(oriented(&values, width, 6 / width, 1, orientation).unwrap(), upright, "orientation {exif}");
         }
     }
 

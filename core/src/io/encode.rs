@@ -1,5 +1,6 @@
 //! Images to files.
 
+use std::borrow::Cow;
 use std::io::Cursor;
 use std::path::Path;
 
@@ -18,6 +19,7 @@ use super::save::write_file;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::image::Image;
+use crate::memory;
 
 const JPEG_QUALITY: u8 = 95;
 
@@ -47,7 +49,7 @@ pub(crate) fn write_image_in(path: &Path, image: &Image, transfer: Transfer, col
         "png" => png8(path, image, transfer)?,
         "jpg" | "jpeg" => jpeg(path, image, transfer)?,
         "exr" => {
-            exr::encode(path, image.width(), image.height(), &named_channels(image), Precision::Float, color_space)?
+            exr::encode(path, image.width(), image.height(), &named_channels(image)?, Precision::Float, color_space)?
         }
         "tif" | "tiff" => tiff_float(path, image)?,
         other => return Err(unsupported(path, format!("extension {other:?}; written are .png, .jpg, .exr and .tif"))),
@@ -56,28 +58,29 @@ pub(crate) fn write_image_in(path: &Path, image: &Image, transfer: Transfer, col
 }
 
 /// The channels of an image under the names OpenEXR gives them: Y for one, R, G for two, R, G, B for three.
-pub(super) fn named_channels(image: &Image) -> Vec<(&'static str, Vec<f32>)> {
+pub(super) fn named_channels(image: &Image) -> Result<Vec<(&'static str, Vec<f32>)>> {
     let names: &[&'static str] = if image.channels() == 1 { &["Y"] } else { &["R", "G", "B"] };
-    let pixels = image.width() * image.height();
-    names.iter().copied().zip(image.to_planar().chunks_exact(pixels).map(<[f32]>::to_vec)).collect()
+    let (pixels, channels) = (image.width() * image.height(), image.channels());
+    let plane = |c: usize| memory::collected(pixels, image.data().iter().skip(c).step_by(channels).copied());
+    names.iter().take(channels).enumerate().map(|(c, &name)| Ok((name, plane(c)?))).collect()
 }
 
 /// The 8-bit codes of an image.
-fn codes8(image: &Image, transfer: Transfer) -> (Vec<u8>, ExtendedColorType) {
+fn codes8(image: &Image, transfer: Transfer) -> Result<(Vec<u8>, ExtendedColorType)> {
     let code = |&v: &f32| (transfer.encode(v).clamp(0.0, 1.0) * 255.0).round() as u8;
     let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
-    (image.data().iter().map(code).collect(), color)
+    Ok((memory::collected(image.data().len(), image.data().iter().map(code))?, color))
 }
 
 /// A PNG of 8 bits, the values encoded with `transfer`; one or three channels.
 pub(crate) fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
-    let (codes, color) = codes8(image, transfer);
+    let (codes, color) = codes8(image, transfer)?;
     png(path, image, &codes, color)
 }
 
 fn jpeg(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
     let (width, height) = size32(path, image)?;
-    let (codes, color) = codes8(image, transfer);
+    let (codes, color) = codes8(image, transfer)?;
     let mut out = Vec::new();
     JpegEncoder::new_with_quality(&mut out, JPEG_QUALITY)
         .write_image(&codes, width, height, color)
@@ -89,7 +92,8 @@ fn jpeg(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
 pub(crate) fn png16(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
     let image = &with_blue(image)?;
     let code = |v: f32| (transfer.encode(v).clamp(0.0, 1.0) * 65535.0).round() as u16;
-    let bytes: Vec<u8> = image.data().iter().flat_map(|&v| code(v).to_ne_bytes()).collect();
+    let values = image.data();
+    let bytes = memory::collected(2 * values.len(), values.iter().flat_map(|&v| code(v).to_ne_bytes()))?;
     let color = if image.channels() == 1 { ExtendedColorType::L16 } else { ExtendedColorType::Rgb16 };
     png(path, image, &bytes, color)
 }
@@ -138,12 +142,13 @@ fn write_tiff<C: ColorType<Inner = f32>>(
     image.write_data(values)
 }
 
-fn with_blue(image: &Image) -> Result<Image> {
+fn with_blue(image: &Image) -> Result<Cow<'_, Image>> {
     if image.channels() != 2 {
-        return Ok(image.clone());
+        return Ok(Cow::Borrowed(image));
     }
-    let data = image.data().chunks_exact(2).flat_map(|pixel| [pixel[0], pixel[1], 0.0]).collect();
-    Image::new(image.width(), image.height(), 3, data)
+    let values = image.data().chunks_exact(2).flat_map(|pixel| [pixel[0], pixel[1], 0.0]);
+    let data = memory::collected(image.data().len() / 2 * 3, values)?;
+    Image::new(image.width(), image.height(), 3, data).map(Cow::Owned)
 }
 
 fn size32(path: &Path, image: &Image) -> Result<(u32, u32)> {

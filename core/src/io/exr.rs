@@ -17,6 +17,7 @@ use super::ours::SOFTWARE;
 use super::profile::FileColors;
 use crate::color::{Chromaticities, ColorSpace};
 use crate::error::{Error, Result};
+use crate::memory;
 
 /// How the values of a written file are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,7 +96,7 @@ fn decode_unguarded(path: &Path, bytes: &[u8]) -> Result<Stored> {
     if !window.is_filled() {
         notes.push("the data window leaves out part of the display window: read as 0".to_owned());
     }
-    let mut values = vec![0.0; window.width * window.height * picked.len()];
+    let mut values = memory::filled(0.0, window.width * window.height * picked.len())?;
     for (c, &index) in picked.iter().enumerate() {
         let Some(index) = index else { continue };
         match &layer.channel_data.list[index].sample_data {
@@ -173,12 +174,14 @@ pub(super) fn encode(
         .iter()
         .map(|(name, values)| {
             let samples = match precision {
-                Precision::Half => FlatSamples::F16(values.iter().copied().map(f16::from_f32).collect()),
-                Precision::Float => FlatSamples::F32(values.clone()),
+                Precision::Half => {
+                    FlatSamples::F16(memory::collected(values.len(), values.iter().copied().map(f16::from_f32))?)
+                }
+                Precision::Float => FlatSamples::F32(memory::collected(values.len(), values.iter().copied())?),
             };
-            AnyChannel::new(*name, samples)
+            Ok(AnyChannel::new(*name, samples))
         })
-        .collect();
+        .collect::<Result<_>>()?;
     let attributes = LayerAttributes { software_name: Some(SOFTWARE.into()), ..LayerAttributes::default() };
     let layer = Layer::new(Vec2(width, height), attributes, Encoding::SMALL_LOSSLESS, AnyChannels::sort(list));
     let mut bytes = Cursor::new(Vec::new());

@@ -18,6 +18,7 @@ use crate::fit::Deviations;
 use crate::image::Image;
 use crate::maps::Lobe;
 use crate::material::Material;
+use crate::memory;
 use crate::unit::Unit;
 
 /// The file that describes a material folder.
@@ -404,7 +405,7 @@ impl Material {
         let mut files: Vec<(String, Vec<u8>)> = Vec::new();
         let encode = |path: &Path, image: &Image, transfer, color_space: Option<ColorSpace>| match options.format {
             MaterialFormat::Exr => {
-                let channels = named_channels(image);
+                let channels = named_channels(image)?;
                 let color_space = color_space.unwrap_or_default();
                 exr::encode(path, image.width(), image.height(), &channels, Precision::Half, color_space)
             }
@@ -543,7 +544,7 @@ impl Material {
             let row = full.0 * image.channels();
             let (values, _) = shrink(full, size, image.channels(), |y, out, _| {
                 out.copy_from_slice(&image.data()[y * row..(y + 1) * row]);
-            });
+            })?;
             Image::new(size.0, size.1, image.channels(), values)
         };
         let resized = Self {
@@ -767,7 +768,8 @@ fn load_strip(path: &Path, encoding: MaterialEncoding, patch_size: f64) -> Resul
         let pixels = stored.to_image(encoding.transfer(map))?;
         let channels = pixels.channels();
         let rows = pixels.data().chunks_exact(stored.width * channels);
-        let data = rows.flat_map(|row| row[index * side * channels..(index + 1) * side * channels].to_vec()).collect();
+        let part = rows.flat_map(|row| &row[index * side * channels..(index + 1) * side * channels]).copied();
+        let data = memory::collected(side * side * channels, part)?;
         to_map(map, Lobe::Isotropic, path, Image::new(side, side, channels, data)?)
     };
     assemble(path, isotropic(tile, patch_size)?)
@@ -784,20 +786,25 @@ fn to_map(map: Map, lobe: Lobe, path: &Path, pixels: Image) -> Result<Image> {
         return Err(Error::invalid(path.display().to_string(), format!("expected values from 0 to 1, got {value}")));
     }
     let (width, height) = (pixels.width(), pixels.height());
+    let count = width * height;
     let data: Vec<f32> = match (map, pixels.channels()) {
         (Map::Roughness, 3) if lobe == Lobe::Anisotropic => {
-            pixels.data().chunks_exact(3).flat_map(|rgb| [rgb[0], rgb[1]]).collect()
+            memory::collected(2 * count, pixels.data().chunks_exact(3).flat_map(|rgb| [rgb[0], rgb[1]]))?
         }
-        (Map::Roughness, 3) => pixels.data().chunks_exact(3).map(|rgb| (rgb[0] + rgb[1] + rgb[2]) / 3.0).collect(),
+        (Map::Roughness, 3) => {
+            memory::collected(count, pixels.data().chunks_exact(3).map(|rgb| (rgb[0] + rgb[1] + rgb[2]) / 3.0))?
+        }
         (Map::Roughness, _) if lobe == Lobe::Isotropic => return Ok(pixels),
-        (Map::Diffuse | Map::Specular, 1) => pixels.data().iter().flat_map(|&grey| [grey; 3]).collect(),
+        (Map::Diffuse | Map::Specular, 1) => {
+            memory::collected(3 * count, pixels.data().iter().flat_map(|&grey| [grey; 3]))?
+        }
         (Map::Diffuse | Map::Specular, 3) => return Ok(pixels),
-        (Map::Normal | Map::Tangent, 3) => pixels.data().iter().map(|v| 2.0 * v - 1.0).collect(),
+        (Map::Normal | Map::Tangent, 3) => memory::collected(3 * count, pixels.data().iter().map(|v| 2.0 * v - 1.0))?,
         (_, channels) => {
             return Err(Error::shape(path.display().to_string(), "three channels", channels.to_string()));
         }
     };
-    let channels = data.len() / (width * height);
+    let channels = data.len() / count;
     Image::new(width, height, channels, data)
 }
 
@@ -813,7 +820,7 @@ fn assemble(path: &Path, material: Material) -> Result<Material> {
 
 /// Vectors as they are stored: (n + 1) / 2.
 fn half_range(image: &Image) -> Result<Image> {
-    let data = image.data().iter().map(|v| (v + 1.0) / 2.0).collect();
+    let data = memory::collected(image.data().len(), image.data().iter().map(|v| (v + 1.0) / 2.0))?;
     Image::new(image.width(), image.height(), image.channels(), data)
 }
 

@@ -9,6 +9,7 @@ mod decode;
 pub(crate) mod describe;
 mod encode;
 mod exr;
+pub(crate) mod file;
 mod font;
 mod jpeg;
 pub mod material;
@@ -31,7 +32,8 @@ use crate::error::Result;
 use crate::image::Image;
 
 pub use decode::{MAX_DECODED_BYTES, Samples};
-pub(crate) use decode::{Pixels, RowReader, read_file, read_stored};
+pub(crate) use decode::{Pixels, RowReader, read_stored};
+pub(crate) use file::read_file;
 
 /// Reads an image file as linear values: (H, W, 3) for colour, (H, W, 1) for grey. An alpha channel is left out.
 ///

@@ -2,6 +2,9 @@
 
 use rayon::prelude::*;
 
+use crate::error::Result;
+use crate::{memory, pool};
+
 /// Shrinks an image, row by row, to `out_width` x `out_height`, none larger than the input's.
 ///
 /// The footprint of output pixel j along an axis of n input and m output pixels is [j n/m, (j+1) n/m]; an input pixel counts by
@@ -9,18 +12,21 @@ use rayon::prelude::*;
 /// are set in the output wherever an input pixel of the footprint, however little of it lies inside, has them.
 ///
 /// `read(y, row, mask)` gives input row `y`: `channels` values per pixel and one byte of bits per pixel.
+///
+/// # Errors
+/// [`Error::OutOfMemory`](crate::Error::OutOfMemory) if the system refuses memory for the output.
 pub(crate) fn shrink(
     (width, height): (usize, usize),
     (out_width, out_height): (usize, usize),
     channels: usize,
     read: impl Fn(usize, &mut [f32], &mut [u8]) + Sync,
-) -> (Vec<f32>, Vec<u8>) {
+) -> Result<(Vec<f32>, Vec<u8>)> {
     debug_assert!(out_width <= width && out_height <= height);
     let columns: Vec<Footprint> = (0..out_width).map(|j| Footprint::new(width, out_width, j)).collect();
-    let mut values = vec![0.0f32; out_width * out_height * channels];
-    let mut masks = vec![0u8; out_width * out_height];
+    let mut values = memory::filled(0.0f32, out_width * out_height * channels)?;
+    let mut masks = memory::filled(0u8, out_width * out_height)?;
     let rows = values.par_chunks_exact_mut(out_width * channels).zip(masks.par_chunks_exact_mut(out_width));
-    rows.enumerate().for_each(|(i, (out_row, out_mask))| {
+    let shrink_row = |(i, (out_row, out_mask)): (usize, (&mut [f32], &mut [u8]))| {
         if (out_width, out_height) == (width, height) {
             return read(i, out_row, out_mask);
         }
@@ -44,8 +50,12 @@ pub(crate) fn shrink(
         for (out, sum) in out_row.iter_mut().zip(sums) {
             *out = sum as f32;
         }
-    });
-    (values, masks)
+    };
+    pool::inside(|| {
+        rows.enumerate().for_each(shrink_row);
+        Ok(())
+    })?;
+    Ok((values, masks))
 }
 
 /// The input pixels under one output pixel along one axis, and their shares of it.
@@ -85,6 +95,7 @@ mod tests {
             row.copy_from_slice(&values[y * size.0..(y + 1) * size.0]);
             bits.copy_from_slice(&mask[y * size.0..(y + 1) * size.0]);
         })
+        .unwrap()
     }
 
     #[test]

@@ -15,11 +15,12 @@ use image::metadata::Orientation;
 use weezl::{BitOrder, LzwStatus, decode::Configuration};
 
 use super::decode::{
-    MAX_DECODED_BYTES, OwnedSamples, Stored, broken, check_size, decode_jpeg, plausible_bytes, unsupported, zeroed,
+    MAX_DECODED_BYTES, OwnedSamples, Stored, broken, check_size, decode_jpeg, plausible_bytes, unsupported,
 };
 use super::profile::FileColors;
 use crate::color::Chromaticities;
 use crate::error::Result;
+use crate::memory;
 
 /// More directories than this no photo file has.
 const MAX_DIRECTORIES: usize = 1024;
@@ -285,7 +286,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
     if full.len() > 1 {
         stored.notes.push(format!("the first of {} pages read", full.len()));
     }
-    Ok(stored.orient(page.orientation().unwrap_or(Orientation::NoTransforms)))
+    stored.orient(page.orientation().unwrap_or(Orientation::NoTransforms))
 }
 
 /// How the samples of a page are stored.
@@ -466,7 +467,7 @@ impl<'a> Page<'a> {
 
     /// The colours of all pixels, made by `value` of the bytes of a sample in this machine's order.
     fn values<const N: usize, T: Copy + Default>(&self, value: impl Fn([u8; N]) -> T) -> Result<Vec<T>> {
-        let mut out = zeroed(self.width * self.height * self.colors)?;
+        let mut out = memory::filled(T::default(), self.width * self.height * self.colors)?;
         let across = self.width.div_ceil(self.chunk_width);
         let chunks = across * self.height.div_ceil(self.chunk_height);
         let (planes, colors_in_chunk) = if self.planar { (self.colors, 1) } else { (1, self.colors) };

@@ -15,6 +15,7 @@ use super::tape::{Param, Planes, Pool};
 use super::weights::{self, CHECKSUMS, Reader, broken};
 use crate::error::{Error, Result};
 use crate::fit::progress::Control;
+use crate::io::file;
 use crate::io::save::Temporary;
 use crate::maps::Lobe;
 
@@ -205,7 +206,7 @@ impl Model {
     }
 
     fn open(path: &Path) -> Result<BufReader<File>> {
-        Ok(BufReader::new(File::open(path).map_err(|error| Error::io(path, error))?))
+        Ok(BufReader::new(file::open(path)?.0))
     }
 
     fn from_networks(mut networks: Vec<Network>, license: String, facts: BTreeMap<String, String>) -> Self {

@@ -8,6 +8,7 @@ use crate::brdf::{Frame, FrameGradient};
 use crate::capture::{Photo, Shot};
 use crate::error::{Error, Result};
 use crate::maps::{Lobe, Maps};
+use crate::{memory, pool};
 
 /// Radiance below which [`encode_radiance`] leaves the power law: less than half of what the first code of an 8-bit file stands for.
 pub const TOE: f64 = 1e-6;
@@ -72,11 +73,11 @@ impl Target {
             return Err(Error::invalid("target", format!("expected finite values, got {value}")));
         }
         let stride = padded(width);
-        let mut rows = vec![0.0; 3 * height * stride];
+        let mut rows = memory::filled(0.0, 3 * height * stride)?;
         for (i, row) in rows.chunks_exact_mut(stride).enumerate() {
             row[..width].copy_from_slice(&encoded[((i % 3) * height + i / 3) * width..][..width]);
         }
-        let mut flags = vec![0; height * stride];
+        let mut flags = memory::filled(0, height * stride)?;
         for (row, source) in flags.chunks_exact_mut(stride).zip(saturated.chunks_exact(width)) {
             row[..width].copy_from_slice(source);
         }
@@ -92,7 +93,8 @@ impl Target {
         if image.channels() != 3 {
             return Err(Error::shape(photo.name.as_str(), "3 channels", format!("{}", image.channels())));
         }
-        let encoded: Vec<f32> = image.to_planar().into_iter().map(encode_radiance).collect();
+        let mut encoded = image.to_planar()?;
+        encoded.iter_mut().for_each(|value| *value = encode_radiance(*value));
         Self::new(image.width(), image.height(), photo.shot, &encoded, &photo.saturated)
     }
 
@@ -173,7 +175,7 @@ pub fn photo_loss<T: Real>(
         views.push((View::new(&target.shot, patch_size)?, target));
     }
     let weight = LOSS_SCALE / (3.0 * pixels as f64 * targets.len() as f64);
-    compared(&Job { grid: &grid, views: &views, maps, weight }, gradient)
+    pool::inside(|| compared(&Job { grid: &grid, views: &views, maps, weight }, gradient))
 }
 
 /// The weighted sum of the errors that `job` states, with its gradient as [`photo_loss`] gives it.

@@ -19,6 +19,7 @@ use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::material::Material;
 use crate::unit::Unit;
+use crate::{memory, pool};
 
 #[doc(hidden)]
 pub use tape::photo_loss_on_tape;
@@ -121,11 +122,14 @@ pub fn render_maps<T: Real>(maps: &Maps<T>, patch_size: f64, shot: &Shot) -> Res
     let grid = Grid::new(maps, patch_size)?;
     let view = View::new(shot, patch_size)?;
     let pixels = maps.width() * maps.height();
-    let mut radiance = vec![T::default(); 3 * pixels];
+    let mut radiance = memory::filled(T::default(), 3 * pixels)?;
     let mut chunks = split_planes(&mut radiance, pixels, grid.chunk_rows * grid.width);
-    chunks.par_iter_mut().enumerate().for_each(|(index, out)| {
-        T::run(RenderRows { grid: &grid, view: &view, maps, rows: grid.rows(index), out });
-    });
+    pool::inside(|| {
+        chunks.par_iter_mut().enumerate().for_each(|(index, out)| {
+            T::run(RenderRows { grid: &grid, view: &view, maps, rows: grid.rows(index), out });
+        });
+        Ok(())
+    })?;
     Ok(radiance)
 }
 

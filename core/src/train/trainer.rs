@@ -16,6 +16,7 @@ use super::optimiser::{self, AdamW, Moments};
 use super::start;
 use crate::brdf::real::Real;
 use crate::error::{Error, Result};
+use crate::io::{file, read_file};
 use crate::nn::{PhotoGraph, PhotoGraphConfig, Pool, Scalar, Trainable, read_tensors, write_tensors};
 
 /// Tensors by name.
@@ -23,6 +24,9 @@ type Tensors<E> = BTreeMap<String, Vec<E>>;
 
 /// The files of a checkpoint beside `state.json`: parameters, their moving average, the moments of AdamW.
 const FILES: [&str; 4] = ["model", "average", "moment1", "moment2"];
+
+/// Largest `state.json` that is read, in bytes.
+const STATE_MAX: u64 = 1 << 20;
 
 /// What a step measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -228,8 +232,8 @@ impl Trainer {
         let place = if place[0].exists() { &place[0] } else { &place[1] };
         let path = place.join("state.json");
         let broken = |reason: String| Error::Weights { reason: format!("{}: {reason}", path.display()) };
-        let text = fs::read_to_string(&path).map_err(|error| Error::io(&path, error))?;
-        let state: Value = serde_json::from_str(&text).map_err(|error| broken(error.to_string()))?;
+        let state: Value =
+            serde_json::from_slice(&read_file(&path, STATE_MAX)?).map_err(|error| broken(error.to_string()))?;
         let model = state.pointer("/config/model").cloned().unwrap_or_default();
         match serde_json::from_value::<PhotoGraphConfig>(model) {
             Ok(model) if model == self.model => {}
@@ -242,8 +246,7 @@ impl Trainer {
         let shapes = self.model.tensors();
         let read = |file: &str| {
             let path = place.join(format!("{file}.safetensors"));
-            let source = File::open(&path).map_err(|error| Error::io(&path, error))?;
-            read_tensors(BufReader::new(source), &shapes).map_err(|error| match error {
+            read_tensors(BufReader::new(file::open(&path)?.0), &shapes).map_err(|error| match error {
                 Error::Weights { reason } => Error::Weights { reason: format!("{}: {reason}", path.display()) },
                 other => other,
             })

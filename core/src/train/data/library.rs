@@ -1,7 +1,6 @@
 //! Photographed materials: a pack, or a folder of material folders.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::io::{BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,11 +14,11 @@ use zip::ZipArchive;
 use super::texture::Texture;
 use crate::color::Transfer;
 use crate::error::{Error, Result};
-use crate::fit::memory;
 use crate::image::Image;
 use crate::io::resize::shrink;
-use crate::io::{decode_image, read_file};
+use crate::io::{decode_image, file, read_file};
 use crate::maps::{Lobe, Maps};
+use crate::memory;
 
 /// Largest index of a pack, and largest image of a material that is read, in bytes of their files.
 const INDEX_MAX: u64 = 16 << 20;
@@ -97,8 +96,7 @@ impl Library {
 
     fn open_pack(path: &Path) -> Result<Self> {
         let broken = |error: zip::result::ZipError| Error::invalid(path.display().to_string(), error.to_string());
-        let file = File::open(path).map_err(|error| Error::io(path, error))?;
-        let mut archive = ZipArchive::new(BufReader::new(file)).map_err(broken)?;
+        let mut archive = ZipArchive::new(BufReader::new(file::open(path)?.0)).map_err(broken)?;
         let mut read = |name: &str, most: u64| -> Result<Vec<u8>> {
             let entry = archive
                 .by_name(name)
@@ -188,7 +186,8 @@ impl Library {
                     let maps = maps(&path.join(&entry.name), files, side)?;
                     let bytes = Texture::bytes(maps.width());
                     let needed = taken.fetch_add(bytes, Ordering::Relaxed).saturating_add(bytes);
-                    if needed > allowed { Err(Error::OutOfMemory { needed, allowed }) } else { Ok(Texture::new(&maps)) }
+                    memory::check("the materials to train on", needed, allowed)?;
+                    Ok(Texture::new(&maps))
                 })
                 .collect::<Result<_>>()?;
             for (entry, texture) in chunk.iter().zip(textures) {
@@ -297,7 +296,7 @@ fn squared(image: &Image, side: Option<usize>) -> Result<Image> {
         let start = ((top + row) * width + left) * channels;
         values.copy_from_slice(&image.data()[start..start + square * channels]);
         mask.fill(0);
-    });
+    })?;
     Image::new(out, out, channels, values)
 }
 
