@@ -80,7 +80,9 @@ pub fn fit_material(
         }
     };
     let pool = pool(options.threads)?;
-    crate::memory::check("the run", memory::estimate(capture, way), crate::memory::allowed(options.max_memory))?;
+    // The need depends on the number of threads.
+    let needed = pool.install(|| memory::estimate(capture, way));
+    crate::memory::check("the run", needed, crate::memory::allowed(options.max_memory))?;
     on_pool(&pool, options.cancel.clone(), progress, |control| {
         let mut stages = Vec::new();
         let alone = |maps| Predicted { maps, gains: None, deviations: None, belief: None };
