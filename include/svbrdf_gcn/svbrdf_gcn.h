@@ -948,7 +948,8 @@ svbrdf_gcn_status svbrdf_gcn_material_render(const struct svbrdf_gcn_material *m
 
 /**
  * How far the material, rendered as photo `index` (from 0) of `capture` was taken, is from the photo: root mean square error of values encoded with gamma
- * 2.2 and clamped to 0 to 1. The maps must have the size of the photos.
+ * 2.2 and clamped to 0 to 1. The maps must have the size of the photos and show the same patch: widths in known units (mm, cm, m, in) are converted; where a unit is not
+ * stated the numbers must agree. Else it is `SVBRDF_GCN_ERR_INVALID_ARGUMENT`.
  */
 svbrdf_gcn_status svbrdf_gcn_photo_rmse(const struct svbrdf_gcn_material *material,
                                         const struct svbrdf_gcn_capture *capture,
