@@ -331,6 +331,8 @@ impl Principled {
     ///     normal: Image::new(1, 1, 3, vec![0.0, 0.0, 1.0])?,
     ///     tangent: None,
     ///     patch_size: 1.0,
+    ///     unit: None,
+    ///     warnings: Vec::new(),
     /// };
     /// let principled = Principled::from_material(&gold)?;
     /// assert_eq!(principled.metallic.data(), [1.0]);

@@ -48,6 +48,8 @@ const CHUNK_PIXELS: usize = 4096;
 ///     normal: constant(&[0.0, 0.0, 1.0])?,
 ///     tangent: None,
 ///     patch_size: 1.0,
+///     unit: None,
+///     warnings: Vec::new(),
 /// };
 /// let shot = Shot { camera: [0.0, 0.0, 2.0], light: [0.0, 0.0, 2.0], light_intensity: [4.0 * std::f64::consts::PI; 3] };
 /// let photo = render::render(&white, &shot)?;
