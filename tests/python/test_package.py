@@ -143,8 +143,8 @@ HUGE = np.broadcast_to(np.zeros((), np.uint8), (2, 1 << 20, 1 << 20, 3))
 @pytest.mark.parametrize(
     ("photos", "error", "said"),
     [
-        (None, ShapeError, r"photos: expected shape \(N, H, W, 3\), got \(\)"),
-        (1.5, ShapeError, r"photos: expected shape \(N, H, W, 3\), got \(\)"),
+        (None, FormatError, r"photos: expected an array of shape .*got None"),
+        (1.5, FormatError, r"photos: expected an array of shape .*got 1.5 \(float\)"),
         (two_photos()[0], ShapeError, r"photos: expected shape \(N, H, W, 3\), got \(6, 8, 3\)"),
         ([None, None], ShapeError, r"photos\[0\]: .*got \(\)"),
         (two_photos()[..., :0], ShapeError, r"photos\[0\]: .*got \(6, 8, 0\)"),
@@ -324,7 +324,7 @@ def test_bad_options_are_named(tiles):
     for options, error, said in [
         ({"preset": "fast"}, ArgumentError, "preset: expected draft, balanced or high, got 'fast'"),
         ({"method": "magic"}, ArgumentError, "method: expected auto, network or direct, got 'magic'"),
-        ({"threads": 0}, ArgumentError, "threads: expected at least 1, got 0"),
+        ({"threads": 0}, ArgumentError, "threads: expected 1 to 1024, got 0"),
         ({"seed": -1}, ArgumentError, "seed: expected an integer of 0 or more, got -1"),
         ({"direct_steps": "many"}, FormatError, r"direct_steps: expected an integer, got 'many' \(str\)"),
         ({"preset": 3}, FormatError, r"preset: expected a string, got 3 \(int\)"),
@@ -432,7 +432,7 @@ def test_generators_are_taken_wherever_lists_are():
 def test_what_is_still_encoded_is_refused():
     codes = [np.full((4, 4, 3), 200.0), np.full((4, 4, 3), 255.0)]
     with pytest.raises(ArgumentError, match=r"photos\[[01]\]: expected floats of which 1 is white in srgb, at most 8, got up to 2\d\d"):
-        capture_of(codes)
+        capture_of(codes, transfer="srgb")
     grey, flat = np.full((4, 4, 3), 0.5), np.zeros((4, 4, 3)) + [0, 0, 1]
     for maps, said in [
         ((grey * 255, grey, grey[..., 0], flat), "diffuse_albedo: expected linear values from 0 to 1, got 127.5"),
@@ -496,7 +496,7 @@ def test_cancel_from_another_thread(tiles):
     stopper = threading.Thread(target=lambda: (started.wait(30), token.cancel()))
     stopper.start()
     with pytest.raises(Cancelled):
-        fit_material(tiles, direct_steps=10**8, early_stop=False, progress=lambda _: started.set(), cancel=token)
+        fit_material(tiles, direct_steps=10**7, early_stop=False, progress=lambda _: started.set(), cancel=token)
     stopper.join()
 
 
@@ -512,7 +512,7 @@ def test_other_threads_run_during_a_fit(tiles):
     counter = threading.Thread(target=count)
     counter.start()
     with pytest.raises(Cancelled):
-        fit_material(tiles, direct_steps=10**8, early_stop=False, cancel=token)
+        fit_material(tiles, direct_steps=10**7, early_stop=False, cancel=token)
     counter.join()
     assert len(counts) == 200
 
@@ -582,7 +582,7 @@ def say(progress):
     if not said:
         said.append(print("running", flush=True))
 try:
-    svbrdf_gcn.fit_material(sys.argv[1], size=32, direct_steps=10**8, early_stop=False, progress=say)
+    svbrdf_gcn.fit_material(sys.argv[1], size=32, direct_steps=10**7, early_stop=False, progress=say)
 except KeyboardInterrupt:
     print("interrupted", flush=True)
     svbrdf_gcn.fit_material(sys.argv[1], size=16, direct_steps=2)
