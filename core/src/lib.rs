@@ -1,6 +1,7 @@
 //! Materials (SVBRDF maps) from flash photos.
 
 pub mod brdf;
+mod cancel;
 pub mod capture;
 #[cfg(feature = "cli")]
 pub mod cli;
@@ -21,12 +22,13 @@ pub mod render;
 pub mod train;
 pub mod unit;
 
+pub use cancel::CancelToken;
 pub use capture::{Capture, CaptureOptions, Photo, PhotoPixels, Shot};
 pub use color::{ColorSpace, Transfer};
 pub use error::{Error, Result};
 pub use export::{ExportOptions, ExportReport, ExportTarget, NormalConvention};
 pub use fit::options::{FitOptions, Method, Preset};
-pub use fit::progress::{CancelToken, Progress};
+pub use fit::progress::Progress;
 pub use fit::{Deviations, Fit, fit_material};
 pub use image::Image;
 pub use maps::{Lobe, Maps};

@@ -453,3 +453,85 @@ fn names_do_not_steer_the_terminal() {
         assert!(!said.chars().any(|c| c.is_control() && c != '\n' || c == '\u{202e}'), "{said:?}");
     }
 }
+
+/// Starts the command line with `arguments`, sends it SIGINT after `milliseconds` if it still runs, and returns its exit code and the seconds it then took.
+#[cfg(unix)]
+fn interrupted(arguments: &[&str], milliseconds: u64) -> (Option<i32>, f64) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_svbrdf-gcn"))
+        .args(arguments)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let started = std::time::Instant::now();
+    while started.elapsed().as_millis() < u128::from(milliseconds) && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let sent = std::time::Instant::now();
+    if child.try_wait().unwrap().is_none() {
+        assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    }
+    (child.wait().unwrap().code(), sent.elapsed().as_secs_f64())
+}
+
+/// Control-C ends the reading of photos while they are decoded, in every command that reads them.
+#[cfg(unix)]
+#[test]
+fn an_interrupt_ends_the_reading_of_photos() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    // Many seconds of decoding, a second and a half each, in few bytes.
+    let large = svbrdf_gcn::Image::new(6000, 6000, 1, vec![0.5; 36_000_000]).unwrap();
+    svbrdf_gcn::io::write_image(at("large.png"), &large, svbrdf_gcn::Transfer::Srgb).unwrap();
+    let photo = r#"{"file": "large.png", "camera": [0, 0, 9]}"#;
+    let photos = vec![photo; 60].join(", ");
+    let capture = format!(
+        r#"{{"format": "svbrdf-gcn capture", "version": 1, "patch_size": 1, "transfer": "srgb", "light_intensity": 9, "photos": [{photos}]}}"#
+    );
+    std::fs::write(at("capture.json"), capture).unwrap();
+    let (capture, out, truth) = (at("capture.json"), at("out"), samples("lambert/truth"));
+    let (capture, out, truth) = (text(&capture), text(&out), text(&truth));
+    for arguments in [vec!["fit", capture, "-o", out, "--size", "16"], vec!["evaluate", truth, capture]] {
+        let (code, seconds) = interrupted(&arguments, 500);
+        assert_eq!(code, Some(130), "{arguments:?}");
+        assert!(seconds < 5.0, "{arguments:?}: {seconds} s");
+    }
+    assert!(!Path::new(out).exists());
+}
+
+/// Control-C during an export leaves nothing, or comes too late and the export is there.
+#[cfg(unix)]
+#[test]
+fn an_interrupt_ends_an_export_or_comes_too_late() {
+    const SIDE: usize = 1024;
+    let folder = tempfile::tempdir().unwrap();
+    let maps = folder.path().join("maps");
+    let image = |channels: usize, value: fn(usize) -> f32| {
+        svbrdf_gcn::Image::new(SIDE, SIDE, channels, (0..SIDE * SIDE * channels).map(value).collect()).unwrap()
+    };
+    let noise = |i: usize| (i * 7919 % 1009) as f32 / 1009.0;
+    let material = svbrdf_gcn::Material {
+        diffuse_albedo: image(3, noise),
+        specular_albedo: image(3, noise),
+        roughness: image(1, noise),
+        normal: image(3, |i| f32::from(u8::from(i % 3 == 2))),
+        tangent: None,
+        patch_size: 1.0,
+        unit: None,
+        warnings: Vec::new(),
+    };
+    material.save(&maps, &svbrdf_gcn::io::material::SaveOptions::default()).unwrap();
+    let mut codes = Vec::new();
+    for milliseconds in [100, 200, 400, 800, 600_000] {
+        let out = folder.path().join(format!("{milliseconds}/made"));
+        let (code, _) = interrupted(&["export", text(&maps), "--to", "gltf", "-o", text(&out)], milliseconds);
+        match code {
+            // None: ended by the signal, before the program listened to it.
+            Some(130) | None => assert!(!out.exists() && !out.parent().unwrap().exists(), "after {milliseconds} ms"),
+            Some(0) => assert!(out.join("export.json").is_file() && out.join("material.gltf").is_file()),
+            other => panic!("{other:?} after {milliseconds} ms"),
+        }
+        codes.push(code);
+    }
+    assert!(codes.contains(&Some(130)) && codes.last() == Some(&Some(0)), "{codes:?}");
+}

@@ -66,7 +66,7 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_open(
                 format!("a capture on disk states its own: expected 0, got {}", options.white_level),
             ));
         }
-        // SAFETY: NULL or as many views as the caller said.
+        // SAFETY: NULL or as many views as the caller said, NULL or a living token.
         let capture = Capture::open_with(path, &unsafe { options.capture_options() }?)?;
         // SAFETY: not NULL.
         unsafe { give(out, svbrdf_gcn_capture::new(Some(capture), Source::Disk)) };
@@ -88,7 +88,7 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_create(
         expect_out(out)?;
         // SAFETY: NULL or options, says the caller.
         let theirs = unsafe { read("options", options) }?;
-        // SAFETY: NULL or as many views as the caller said.
+        // SAFETY: NULL or as many views as the caller said, NULL or a living token.
         let options = unsafe { theirs.capture_options() }?;
         let Some(transfer) = options.transfer else {
             return Err(Failure::invalid(

@@ -11,7 +11,7 @@ use svbrdf_gcn::{
 };
 
 use crate::guard::{guard, text};
-use crate::progress::{svbrdf_gcn_cancel_token, svbrdf_gcn_progress_fn};
+use crate::progress::{svbrdf_gcn_cancel_token, svbrdf_gcn_progress_fn, token_or_new};
 use crate::status::svbrdf_gcn_status::*;
 use crate::status::{Failure, Result, svbrdf_gcn_status};
 use svbrdf_gcn_color_space::*;
@@ -350,6 +350,9 @@ pub struct svbrdf_gcn_capture_options {
     /// 1: photos on disk are read as if their files held no colour profiles and said nothing else of their colours; 0, the default: what they say
     /// counts where nothing states a `color_space`, with a warning (docs/color.md).
     pub ignore_profiles: i32,
+    /// Stops the reading from another thread, also while a photo is decoded: it then returns `SVBRDF_GCN_CANCELLED`. NULL, the default: nothing does. It has
+    /// to live until the call with these options returns; a capture made for pixels of the host keeps it in mind for the photos that are added.
+    pub cancel: *const svbrdf_gcn_cancel_token,
 }
 
 impl SizeFirst for svbrdf_gcn_capture_options {
@@ -365,15 +368,17 @@ impl SizeFirst for svbrdf_gcn_capture_options {
             white_level: 0.0,
             color_space: SVBRDF_GCN_COLOR_SPACE_FROM_CAPTURE as i32,
             ignore_profiles: 0,
+            cancel: ptr::null(),
         }
     }
 }
 
 impl svbrdf_gcn_capture_options {
     /// # Safety
-    /// `views` is NULL or has `view_count` numbers.
+    /// `views` is NULL or has `view_count` numbers; `cancel` is NULL or a living token.
     pub(crate) unsafe fn capture_options(&self) -> Result<CaptureOptions> {
-        let mut options = CaptureOptions::new();
+        // SAFETY: NULL or a living token, says the caller.
+        let mut options = CaptureOptions::new().cancel(unsafe { token_or_new(self.cancel) });
         options.size = given("size", self.size)?;
         if self.view_count > MAX_PHOTOS {
             return Err(Failure::invalid(
@@ -648,8 +653,9 @@ mod tests {
         let core = FitOptions::default().early_stop(true);
         assert_eq!(format!("{ours:?}"), format!("{core:?}"));
         let defaults = svbrdf_gcn_capture_options::defaults();
-        // SAFETY: there are no views.
-        assert_eq!(unsafe { defaults.capture_options() }.unwrap(), CaptureOptions::new());
+        // SAFETY: there are no views and no token.
+        let ours = unsafe { defaults.capture_options() }.unwrap();
+        assert_eq!(format!("{ours:?}"), format!("{:?}", CaptureOptions::new()));
         assert_eq!(svbrdf_gcn_save_options::defaults().save_options().unwrap(), SaveOptions::default());
     }
 

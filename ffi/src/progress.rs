@@ -117,8 +117,8 @@ impl Callback {
     }
 }
 
-/// A flag that stops running fits. It may be used from any thread, at any time while it lives. Once cancelled it stays cancelled: a fit that
-/// is started with it returns `SVBRDF_GCN_CANCELLED` at once; take a new one for the next run.
+/// A flag that stops fits and the reading of photos. It may be used from any thread, at any time while it lives. Once cancelled it stays cancelled:
+/// what is started with it returns `SVBRDF_GCN_CANCELLED` at once; take a new one for the next run.
 pub struct svbrdf_gcn_cancel_token(CancelToken);
 
 impl Handle for svbrdf_gcn_cancel_token {}

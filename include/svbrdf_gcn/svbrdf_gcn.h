@@ -459,8 +459,8 @@ typedef int32_t svbrdf_gcn_step;
 #endif // __cplusplus
 
 /**
- * A flag that stops running fits. It may be used from any thread, at any time while it lives. Once cancelled it stays cancelled: a fit that
- * is started with it returns `SVBRDF_GCN_CANCELLED` at once; take a new one for the next run.
+ * A flag that stops fits and the reading of photos. It may be used from any thread, at any time while it lives. Once cancelled it stays cancelled:
+ * what is started with it returns `SVBRDF_GCN_CANCELLED` at once; take a new one for the next run.
  */
 typedef struct svbrdf_gcn_cancel_token svbrdf_gcn_cancel_token;
 
@@ -518,6 +518,11 @@ typedef struct svbrdf_gcn_capture_options {
    * counts where nothing states a `color_space`, with a warning (docs/color.md).
    */
   int32_t ignore_profiles;
+  /**
+   * Stops the reading from another thread, also while a photo is decoded: it then returns `SVBRDF_GCN_CANCELLED`. NULL, the default: nothing does. It has
+   * to live until the call with these options returns; a capture made for pixels of the host keeps it in mind for the photos that are added.
+   */
+  const struct svbrdf_gcn_cancel_token *cancel;
 } svbrdf_gcn_capture_options;
 
 /**

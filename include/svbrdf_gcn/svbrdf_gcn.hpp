@@ -169,7 +169,7 @@ struct Progress {
 /// Called on the thread that called fit_material, after every step and some ten times a second in long ones.
 using ProgressFunction = std::function<Step(const Progress &)>;
 
-/// Stops running fits from any thread. Once cancelled it stays cancelled.
+/// Stops fits and the reading of photos from any thread. Once cancelled it stays cancelled.
 class CancelToken {
 public:
     CancelToken() : handle_(detail::made<svbrdf_gcn_cancel_token>(svbrdf_gcn_cancel_token_create)) {}
@@ -254,6 +254,8 @@ struct CaptureOptions {
     ColorSpace color_space = ColorSpace::FromCapture;
     /// Read photos on disk as if their files held no colour profiles.
     bool ignore_profiles = false;
+    /// Stops the reading from another thread; has to live until the photos are read.
+    const CancelToken *cancel = nullptr;
 };
 
 /// Options of a fit, under the names of the command line.
@@ -318,6 +320,7 @@ inline svbrdf_gcn_capture_options capture_options(const CaptureOptions &options)
     made.white_level = options.white_level.value_or(0.0f);
     made.color_space = static_cast<std::int32_t>(options.color_space);
     made.ignore_profiles = options.ignore_profiles ? 1 : 0;
+    made.cancel = options.cancel ? options.cancel->get() : nullptr;
     return made;
 }
 

@@ -67,7 +67,8 @@ def prepare(settings):
             raise ValueError("folder: expected a capture folder, got nothing")
 
         def fit_folder(**control):
-            return svbrdf_gcn.fit_material(svbrdf_gcn.Capture.open(folder, **reading), **options, **control)
+            capture = svbrdf_gcn.Capture.open(folder, **reading, cancel=control["cancel"])
+            return svbrdf_gcn.fit_material(capture, **options, **control)
 
         path = Path(folder)
         return (path.parent if path.suffix.lower() == ".json" else path).name or "Material", fit_folder

@@ -5,10 +5,11 @@ use std::sync::Arc;
 
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString, PyTuple};
-use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer, Unit};
+use svbrdf_gcn::{CancelToken, Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer, Unit};
 
 use crate::arrays::{ImageArray, Pixels, Triples, asarray, intensities, is_bare_iterable, shape_of, triples, tuple};
-use crate::errors::{argument, detached, format, shape};
+use crate::errors::{argument, detached, format, interruptible, shape};
+use crate::fit::{PyCancelToken, token};
 use crate::options::{Given, Integers, choice, counts, items, maybe, maybe_count, named, shown};
 use crate::types::{ArrayLike, Photos, Source};
 
@@ -19,6 +20,8 @@ pub struct Reading<'py> {
     pub transfer: Option<Given<'py, String>>,
     pub color_space: Option<Given<'py, String>>,
     pub ignore_profiles: bool,
+    /// Of the call, which a capture that is there does not contradict.
+    pub cancel: CancelToken,
 }
 
 impl Reading<'_> {
@@ -29,6 +32,7 @@ impl Reading<'_> {
         options.transfer = maybe("transfer", self.transfer)?.as_deref().map(transfer).transpose()?;
         options.color_space = maybe("color_space", self.color_space)?.as_deref().map(color_space).transpose()?;
         options.ignore_profiles = self.ignore_profiles;
+        options.cancel = self.cancel;
         Ok(options)
     }
 
@@ -109,7 +113,7 @@ pub fn capture(py: Python<'_>, source: &Source<'_>, setup: Setup<'_>, reading: R
 
 fn open(py: Python<'_>, path: &Path, reading: Reading<'_>) -> PyResult<Arc<Capture>> {
     let options = reading.options()?;
-    detached(py, || Capture::open_with(path, &options)).map(Arc::new)
+    read(py, options, |options| Capture::open_with(path, options))
 }
 
 fn from_photos(photos: &Bound<'_, PyAny>, setup: Setup<'_>, reading: Reading<'_>) -> PyResult<Arc<Capture>> {
@@ -129,7 +133,7 @@ fn from_photos(photos: &Bound<'_, PyAny>, setup: Setup<'_>, reading: Reading<'_>
         let files = paths.into_iter().collect::<Option<Vec<_>>>();
         let files = files.ok_or_else(|| format("photos", "only paths or only arrays", "both"))?;
         let files: Vec<_> = files.into_iter().zip(shots).collect();
-        return detached(py, || Capture::from_files(&files, patch_size, transfer, white_level, &options)).map(Arc::new);
+        return read(py, options, |options| Capture::from_files(&files, patch_size, transfer, white_level, options));
     }
     let named: Vec<(String, Pixels)> = photos
         .iter()
@@ -152,7 +156,17 @@ fn from_photos(photos: &Bound<'_, PyAny>, setup: Setup<'_>, reading: Reading<'_>
             samples: pixels.values.samples(),
         })
         .collect();
-    detached(py, || Capture::from_photos(&pixels, patch_size, transfer, white_level, &options)).map(Arc::new)
+    read(py, options, |options| Capture::from_photos(&pixels, patch_size, transfer, white_level, options))
+}
+
+/// Reads photos until the token of `options` is cancelled, or Ctrl-C is pressed.
+fn read(
+    py: Python<'_>,
+    mut options: CaptureOptions,
+    work: impl FnOnce(&CaptureOptions) -> svbrdf_gcn::Result<Capture> + Send,
+) -> PyResult<Arc<Capture>> {
+    options.cancel = options.cancel.child();
+    interruptible(py, &options.cancel, || work(&options)).map(Arc::new)
 }
 
 /// The photos of a list, a generator or the like, or of an array of rank 4.
@@ -220,6 +234,8 @@ pub fn color_space(name: &str) -> PyResult<ColorSpace> {
 ///     Colour space of linear photos and of `light_intensity`, Rec. 709 if not given. Everything is computed in Rec. 709.
 /// ignore_profiles : bool, default False
 ///     Read image files as if they held no colour profiles. Without it their colours are converted where `color_space` is not given.
+/// cancel : CancelToken, optional
+///     Stops the reading from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
 ///
 /// Raises
 /// ------
@@ -231,6 +247,8 @@ pub fn color_space(name: &str) -> PyResult<ColorSpace> {
 ///     For arrays of other types, and files of other formats.
 /// OSError
 ///     For files that cannot be read.
+/// Cancelled
+///     If `cancel` was cancelled.
 ///
 /// Examples
 /// --------
@@ -246,7 +264,7 @@ pub struct PyCapture(pub Arc<Capture>);
 impl PyCapture {
     #[new]
     #[pyo3(signature = (photos, *, camera_positions, patch_size, light_intensity, transfer, light_positions = None,
-        white_level = None, size = None, views = None, color_space = None, ignore_profiles = Given::Default(false)))]
+        white_level = None, size = None, views = None, color_space = None, ignore_profiles = Given::Default(false), cancel = None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn new<'py>(
         photos: Photos<'py>,
@@ -260,6 +278,7 @@ impl PyCapture {
         views: Option<Given<'py, Integers>>,
         color_space: Option<Given<'py, String>>,
         ignore_profiles: Given<'py, bool>,
+        cancel: Option<Given<'py, Bound<'py, PyCancelToken>>>,
     ) -> PyResult<Self> {
         let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
         let setup = Setup {
@@ -269,7 +288,8 @@ impl PyCapture {
             light_intensity: Some(light_intensity),
             white_level,
         };
-        let reading = Reading { size, views, transfer: Some(transfer), color_space, ignore_profiles };
+        let cancel = token(cancel)?;
+        let reading = Reading { size, views, transfer: Some(transfer), color_space, ignore_profiles, cancel };
         from_photos(&photos.0, setup, reading).map(Self)
     }
 
@@ -291,6 +311,8 @@ impl PyCapture {
     ///     Replaces what the capture states for linear photos.
     /// ignore_profiles : bool, default False
     ///     Read photos as if their files held no colour profiles.
+    /// cancel : CancelToken, optional
+    ///     Stops the reading from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
     ///
     /// Returns
     /// -------
@@ -298,7 +320,7 @@ impl PyCapture {
     ///
     /// Raises
     /// ------
-    /// OSError, ArgumentError, ShapeError, FormatError
+    /// OSError, ArgumentError, ShapeError, FormatError, Cancelled
     ///     As the constructor.
     ///
     /// Examples
@@ -307,18 +329,22 @@ impl PyCapture {
     /// <svbrdf_gcn.Capture: 2 photos of 64 x 64 pixels, patch 10 wide, transfer srgb>
     #[staticmethod]
     #[pyo3(signature = (path, *, size = None,
-        views = None, transfer = None, color_space = None, ignore_profiles = Given::Default(false)))]
-    fn open(
-        py: Python<'_>,
-        path: Given<'_, PathBuf>,
-        size: Option<Given<'_, i128>>,
-        views: Option<Given<'_, Integers>>,
-        transfer: Option<Given<'_, String>>,
-        color_space: Option<Given<'_, String>>,
-        ignore_profiles: Given<'_, bool>,
+        views = None, transfer = None, color_space = None, ignore_profiles = Given::Default(false), cancel = None))]
+    #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
+    fn open<'py>(
+        py: Python<'py>,
+        path: Given<'py, PathBuf>,
+        size: Option<Given<'py, i128>>,
+        views: Option<Given<'py, Integers>>,
+        transfer: Option<Given<'py, String>>,
+        color_space: Option<Given<'py, String>>,
+        ignore_profiles: Given<'py, bool>,
+        cancel: Option<Given<'py, Bound<'py, PyCancelToken>>>,
     ) -> PyResult<Self> {
         let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
-        open(py, &path.take("path")?, Reading { size, views, transfer, color_space, ignore_profiles }).map(Self)
+        let cancel = token(cancel)?;
+        let reading = Reading { size, views, transfer, color_space, ignore_profiles, cancel };
+        open(py, &path.take("path")?, reading).map(Self)
     }
 
     /// The capture with only some of its photos.

@@ -3,10 +3,12 @@
 use std::io::ErrorKind;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::time::Duration;
 
 use pyo3::exceptions::{PyMemoryError, PyOSError, PyRuntimeError};
 use pyo3::prelude::*;
-use svbrdf_gcn::Error;
+use svbrdf_gcn::{CancelToken, Error};
 
 mod classes {
     use pyo3::import_exception;
@@ -22,6 +24,9 @@ mod classes {
 
 use classes::{ArgumentError, BrokenFileError, Cancelled, FormatError, NonFiniteError, ShapeError, WeightsError};
 
+/// Python is asked for signals, and callbacks are called, no more often than this.
+pub const PAUSE: Duration = Duration::from_millis(50);
+
 /// Runs work of the core while other Python threads run.
 ///
 /// # Errors
@@ -34,6 +39,46 @@ pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> svbrdf_gcn::Resu
             let said = said.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
             Err(PyRuntimeError::new_err(format!("a bug in svbrdf_gcn, please report it: {said}")))
         }
+    }
+}
+
+/// [`detached`], on a thread of its own while this one listens to signals: Ctrl-C cancels `cancel`, which stops the work.
+///
+/// # Errors
+/// As [`detached`]; what a signal's handler raises, `KeyboardInterrupt`.
+pub fn interruptible<T: Send>(
+    py: Python<'_>,
+    cancel: &CancelToken,
+    work: impl FnOnce() -> svbrdf_gcn::Result<T> + Send,
+) -> PyResult<T> {
+    let mut raised = None;
+    let result = detached(py, || {
+        let (sender, receiver) = sync_channel(1);
+        std::thread::scope(|scope| {
+            let worker = scope.spawn(move || drop(sender.send(work())));
+            loop {
+                match receiver.recv_timeout(PAUSE) {
+                    Ok(result) => return result,
+                    Err(RecvTimeoutError::Timeout) if raised.is_none() => {
+                        raised = Python::attach(|py| py.check_signals()).err();
+                        if raised.is_some() {
+                            cancel.cancel();
+                        }
+                    }
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => break,
+                }
+            }
+            // The work has panicked; `detached` says so.
+            match worker.join() {
+                Err(panic) => std::panic::resume_unwind(panic),
+                Ok(()) => Err(Error::Cancelled),
+            }
+        })
+    });
+    match raised {
+        Some(error) => Err(error),
+        None => result,
     }
 }
 

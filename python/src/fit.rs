@@ -3,24 +3,21 @@
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use pyo3::prelude::*;
 use svbrdf_gcn::nn::Model;
-use svbrdf_gcn::{Capture, FitOptions, Method, Preset, fit_material};
+use svbrdf_gcn::{CancelToken, Capture, FitOptions, Method, Preset, fit_material};
 
 use crate::capture::{Reading, Setup, capture};
-use crate::errors::detached;
+use crate::errors::{PAUSE, detached};
 use crate::material::PyMaterial;
 use crate::options::{Given, Integers, choice, count, maybe, maybe_count};
 use crate::types::{ArrayLike, Callback, Source, Weights};
 
-/// Python is asked for signals, and the callback called, no more often than this.
-const PAUSE: Duration = Duration::from_millis(50);
-
-/// Stops a fit from any thread.
+/// Stops a fit, or the reading of photos, from any thread.
 ///
-/// A token that was cancelled stays so; take a new one for the next fit.
+/// A token that was cancelled stays so; take a new one for the next run.
 ///
 /// Examples
 /// --------
@@ -41,7 +38,7 @@ impl PyCancelToken {
         Self(svbrdf_gcn::CancelToken::new())
     }
 
-    /// Ask every fit that was given this token to stop; they raise ``Cancelled``.
+    /// Ask every fit and every reading that was given this token to stop; they raise ``Cancelled``.
     ///
     /// Examples
     /// --------
@@ -210,7 +207,7 @@ impl PyModel {
 ///     Called on this thread with a ``Progress`` at most every 50 ms, and at the end of a stage. What it raises stops the
 ///     fit and comes out unchanged; what it returns is not looked at.
 /// cancel : CancelToken, optional
-///     Stops the fit from any thread.
+///     Stops the fit, and the reading of photos before it, from any thread.
 ///
 /// Returns
 /// -------
@@ -280,12 +277,11 @@ pub fn py_fit_material<'py>(
     options.seed = count("seed", seed.take("seed")?)?;
     options.threads = maybe_count("threads", threads)?;
     options.early_stop = maybe("early_stop", early_stop)?;
-    if let Some(token) = maybe("cancel", cancel)? {
-        options.cancel = token.get().0.clone();
-    }
+    options.cancel = token(cancel)?;
     let setup = Setup { camera_positions, light_positions, patch_size, light_intensity, white_level };
     let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
-    let reading = Reading { size, views, transfer, color_space, ignore_profiles };
+    let cancel = options.cancel.clone();
+    let reading = Reading { size, views, transfer, color_space, ignore_profiles, cancel };
     let (weights, progress) = (maybe("weights", weights)?, maybe("progress", progress)?);
     let capture = capture(py, &capture_or_photos, setup, reading)?;
     let model = weights.map(|weights| model(py, &weights, &capture)).transpose()?;
@@ -297,6 +293,14 @@ pub fn py_fit_material<'py>(
         Some(error) => Err(error),
         None => PyMaterial::fitted(fit?),
     }
+}
+
+/// The token that was given, else one that nobody cancels.
+///
+/// # Errors
+/// As [`maybe`].
+pub fn token<'py>(given: Option<Given<'py, Bound<'py, PyCancelToken>>>) -> PyResult<CancelToken> {
+    Ok(maybe("cancel", given)?.map_or_else(CancelToken::new, |token| token.get().0.clone()))
 }
 
 const PRESETS: [Preset; 3] = [Preset::Draft, Preset::Balanced, Preset::High];

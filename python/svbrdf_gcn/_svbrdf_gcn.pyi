@@ -16,9 +16,9 @@ __version__: Final[str]
 @final
 class CancelToken:
     """
-    Stops a fit from any thread.
+    Stops a fit, or the reading of photos, from any thread.
 
-    A token that was cancelled stays so; take a new one for the next fit.
+    A token that was cancelled stays so; take a new one for the next run.
 
     Examples
     --------
@@ -34,7 +34,7 @@ class CancelToken:
     def __repr__(self, /) -> str: ...
     def cancel(self, /) -> None:
         """
-        Ask every fit that was given this token to stop; they raise ``Cancelled``.
+        Ask every fit and every reading that was given this token to stop; they raise ``Cancelled``.
 
         Examples
         --------
@@ -83,6 +83,8 @@ class Capture:
         Colour space of linear photos and of `light_intensity`, Rec. 709 if not given. Everything is computed in Rec. 709.
     ignore_profiles : bool, default False
         Read image files as if they held no colour profiles. Without it their colours are converted where `color_space` is not given.
+    cancel : CancelToken, optional
+        Stops the reading from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
 
     Raises
     ------
@@ -94,6 +96,8 @@ class Capture:
         For arrays of other types, and files of other formats.
     OSError
         For files that cannot be read.
+    Cancelled
+        If `cancel` was cancelled.
 
     Examples
     --------
@@ -104,7 +108,7 @@ class Capture:
     <svbrdf_gcn.Capture: 2 photos of 6 x 4 pixels, patch 10 wide, transfer srgb>
     """
     def __len__(self, /) -> int: ...
-    def __new__(cls, /, photos: ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, color_space: str | None = None, ignore_profiles: bool = ...) -> Capture: ...
+    def __new__(cls, /, photos: ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, color_space: str | None = None, ignore_profiles: bool = ..., cancel: CancelToken | None = None) -> Capture: ...
     def __repr__(self, /) -> str: ...
     @property
     def camera_positions(self, /) -> NDArray[float64]:
@@ -132,7 +136,7 @@ class Capture:
         Names of the photos: their files', or ``photos[0]`` and so on.
         """
     @staticmethod
-    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ...) -> Capture:
+    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ..., cancel: CancelToken | None = None) -> Capture:
         """
         Read a capture: its folder or its JSON file.
 
@@ -152,6 +156,8 @@ class Capture:
             Replaces what the capture states for linear photos.
         ignore_profiles : bool, default False
             Read photos as if their files held no colour profiles.
+        cancel : CancelToken, optional
+            Stops the reading from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
 
         Returns
         -------
@@ -159,7 +165,7 @@ class Capture:
 
         Raises
         ------
-        OSError, ArgumentError, ShapeError, FormatError
+        OSError, ArgumentError, ShapeError, FormatError, Cancelled
             As the constructor.
 
         Examples
@@ -710,7 +716,7 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
         Called on this thread with a ``Progress`` at most every 50 ms, and at the end of a stage. What it raises stops the
         fit and comes out unchanged; what it returns is not looked at.
     cancel : CancelToken, optional
-        Stops the fit from any thread.
+        Stops the fit, and the reading of photos before it, from any thread.
 
     Returns
     -------

@@ -571,6 +571,36 @@ static void cancelling(const svbrdf_gcn_capture *capture, const svbrdf_gcn_mater
     }
     svbrdf_gcn_cancel_token_destroy(token);
 
+    /* A token that is cancelled stops the reading of photos, too: from disk and from the host, whose capture stays as it was. */
+    {
+        svbrdf_gcn_capture_options reading;
+        svbrdf_gcn_capture *made = NULL;
+        svbrdf_gcn_image_view pixels;
+        svbrdf_gcn_shot shot;
+        char path[512];
+        OK(svbrdf_gcn_cancel_token_create(&token));
+        OK(svbrdf_gcn_capture_options_init(&reading, sizeof reading));
+        CHECK(reading.cancel == NULL);
+        reading.cancel = token;
+        reading.transfer = SVBRDF_GCN_TRANSFER_LINEAR;
+        OK(svbrdf_gcn_capture_create(1.0, &reading, &made));
+        OK(svbrdf_gcn_image_view_init(&pixels, sizeof pixels));
+        OK(svbrdf_gcn_shot_init(&shot, sizeof shot));
+        OK(svbrdf_gcn_capture_photo(capture, 0, &pixels));
+        OK(svbrdf_gcn_capture_shot(capture, 0, &shot));
+        OK(svbrdf_gcn_capture_add_photo(made, &pixels, &shot));
+        OK(svbrdf_gcn_cancel_token_cancel(token));
+        FAILS(svbrdf_gcn_capture_add_photo(made, &pixels, &shot), SVBRDF_GCN_CANCELLED, "cancelled");
+        CHECK(svbrdf_gcn_capture_photo_count(made) == 1);
+        svbrdf_gcn_capture_destroy(made);
+        made = NULL;
+        path_of(path, samples, "tiles");
+        reading.transfer = SVBRDF_GCN_TRANSFER_FROM_CAPTURE;
+        FAILS(svbrdf_gcn_capture_open(path, &reading, &made), SVBRDF_GCN_CANCELLED, "cancelled");
+        CHECK(made == NULL);
+        svbrdf_gcn_cancel_token_destroy(token);
+    }
+
     /* From another thread, in a fit that would take very long. */
     OK(svbrdf_gcn_cancel_token_create(&token));
     options = draft();

@@ -210,6 +210,9 @@ int main(int argc, char **argv) try {
         CHECK(token.is_cancelled());
         CHECK(throws(SVBRDF_GCN_CANCELLED, "cancelled", [&] { fit_material(capture, endless); }));
         CHECK(same(fit_material(capture, options), material));
+        CaptureOptions stopped;
+        stopped.cancel = &token;
+        CHECK(throws(SVBRDF_GCN_CANCELLED, "cancelled", [&] { Capture::open(samples + "/tiles", stopped); }));
     }
 
     // Errors.

@@ -491,6 +491,24 @@ def test_cancel_at_the_start_in_the_middle_and_at_the_end(tiles, fitted, at):
     assert bits(fit_material(tiles, **QUICK)) == bits(fitted)
 
 
+def test_cancel_stops_the_reading_of_photos():
+    token = CancelToken()
+    photos, scene = np.zeros((2, 8, 8, 3), np.uint8), {"camera_positions": [[0, 0, 9]] * 2, "patch_size": 1, "light_intensity": 9}
+    assert len(Capture.open(TILES, size=8, cancel=token)) == 9
+    assert len(Capture(photos, **scene, transfer="srgb", cancel=token)) == 2
+    token.cancel()
+    for read in (
+        lambda: Capture.open(TILES, size=8, cancel=token),
+        lambda: Capture(photos, **scene, transfer="srgb", cancel=token),
+        lambda: fit_material(TILES, size=8, cancel=token, direct_steps=2),
+        lambda: fit_material(photos, **scene, transfer="srgb", cancel=token, direct_steps=2),
+    ):
+        with pytest.raises(Cancelled):
+            read()
+    with pytest.raises(FormatError, match="cancel: expected a CancelToken, got 3"):
+        Capture.open(TILES, cancel=3)
+
+
 def test_cancel_from_another_thread(tiles):
     token, started = CancelToken(), threading.Event()
     stopper = threading.Thread(target=lambda: (started.wait(30), token.cancel()))
@@ -598,6 +616,30 @@ except KeyboardInterrupt:
             process.kill()
             raise
     assert rest == "interrupted\nagain\n" and process.returncode == 0
+
+
+def test_control_c_stops_the_reading_of_photos(tmp_path):
+    program = """
+import signal, svbrdf_gcn, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+token = svbrdf_gcn.CancelToken()
+print("reading", flush=True)
+try:
+    svbrdf_gcn.Capture.open(sys.argv[1], size=16, cancel=token)
+except KeyboardInterrupt:
+    print("interrupted", token.cancelled, flush=True)
+"""
+    command = [sys.executable, "-c", program, str(large_capture(tmp_path, 6000, 60))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "reading\n"
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        try:
+            rest, _ = process.communicate(timeout=20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
+    assert rest == "interrupted False\n" and process.returncode == 0
 
 
 # Networks.
@@ -787,17 +829,30 @@ def test_photos_and_light_in_acescg():
     np.testing.assert_allclose(capture.light_intensity[0], expected, rtol=1e-4)
 
 
-def png_in_display_p3(path):
-    """A PNG of one pixel, (0, 250, 0), that states Display P3 in a cICP chunk."""
+def png(path, size, color_type, rows, *chunks):
+    """A PNG of 8 bits and `size` x `size` pixels, whose `rows` begin with the byte of their filter, with `chunks` before its pixels."""
 
     def chunk(name, data):
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
-    header = struct.pack(">IIBBBBB", 1, 1, 8, 2, 0, 0, 0)
-    pixels = zlib.compress(bytes([0, 0, 250, 0]))
-    chunks = [(b"IHDR", header), (b"cICP", bytes([12, 13, 0, 1])), (b"IDAT", pixels), (b"IEND", b"")]
+    header = struct.pack(">IIBBBBB", size, size, 8, color_type, 0, 0, 0)
+    chunks = [(b"IHDR", header), *chunks, (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*entry) for entry in chunks))
     return path
+
+
+def png_in_display_p3(path):
+    """A PNG of one pixel, (0, 250, 0), that states Display P3 in a cICP chunk."""
+    return png(path, 1, 2, bytes([0, 0, 250, 0]), (b"cICP", bytes([12, 13, 0, 1])))
+
+
+def large_capture(folder, size, count):
+    """A capture of `count` photos of `size` x `size` pixels in few bytes: they are one file."""
+    png(folder / "large.png", size, 0, bytes((1 + size) * size))
+    photo = {"file": "large.png", "camera": [0, 0, 9]}
+    capture = {"format": "svbrdf-gcn capture", "version": 1, "patch_size": 1, "transfer": "srgb", "light_intensity": 9, "photos": [photo] * count}
+    (folder / "capture.json").write_text(json.dumps(capture))
+    return folder
 
 
 def test_colors_that_files_state_count_unless_ignored(tmp_path):

@@ -16,6 +16,7 @@ CALLS = ("rename,renameat,renameat2", "write,pwrite64,writev", "fsync,fdatasync"
 SAVE = "import sys, svbrdf_gcn; svbrdf_gcn.Material.load(sys.argv[1]).save(sys.argv[2], format=sys.argv[3])"
 EXPORT = "import sys, svbrdf_gcn; svbrdf_gcn.Material.load(sys.argv[1]).export(sys.argv[2], to=sys.argv[3])"
 MOST = 40
+EXIT_CANCELLED = 130
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +50,8 @@ def injections(strace, tmp_path, old, what, command):
             shutil.copytree(old, out)
             options = ["-f", "-o", str(trace), "-e", f"trace={calls}", "-e", f"inject={calls}:{what}:when={when}"]
             done = subprocess.run([strace, *options, *command(out)], env=environment, capture_output=True, check=False)
-            # What kills is not marked in the trace.
-            if done.returncode != -signal.SIGKILL and "INJECTED" not in trace.read_text():
+            # What kills is not marked in the trace, and other signals by their arrival.
+            if done.returncode != -signal.SIGKILL and not any(mark in trace.read_text() for mark in ("INJECTED", "--- SIGINT")):
                 assert done.returncode == 0 and when > 1, f"{calls}: no call to fail: {done.stderr}"
                 break
             yield f"{calls} {when}", out, done.returncode
@@ -95,3 +96,22 @@ def test_an_export_leaves_the_whole_old_or_the_whole_new_one(strace, tmp_path):
         # Whoever exports here next finishes what was begun, and clears away the rest.
         Material.load(maps).export(out, to="gltf")
         assert content(out) == content(tmp_path / "new"), where
+
+
+def test_an_interrupted_export_is_given_up_or_completed(strace, tmp_path):
+    maps, old, new = tmp_path / "maps", tmp_path / "old", tmp_path / "new"
+    material(2).save(maps)
+    material(1).export(old, to="gltf")
+    Material.load(maps).export(new, to="gltf")
+    was, will_be = content(old), content(new)
+    codes = set()
+    for where, out, code in injections(
+        strace,
+        tmp_path,
+        old,
+        "signal=SIGINT",
+        lambda out: [sys.executable, "-m", "svbrdf_gcn", "export", str(maps), "--to", "gltf", "-o", str(out)],
+    ):
+        assert content(out) == {EXIT_CANCELLED: was, 0: will_be}[code], where
+        codes.add(code)
+    assert codes == {EXIT_CANCELLED, 0}

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use crate::cancel::CancelToken;
 use crate::color::{ColorSpace, Transfer, apply_to_image};
 use crate::error::{Error, Result, printable};
 use crate::image::Image;
@@ -96,7 +97,7 @@ pub struct PhotoPixels<'a> {
 }
 
 /// How a capture is read.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct CaptureOptions {
     /// The longer side of the photos after reading; see [`CaptureOptions::size`].
@@ -109,6 +110,8 @@ pub struct CaptureOptions {
     pub color_space: Option<ColorSpace>,
     /// Whether colour profiles in files count for nothing; see [`CaptureOptions::ignore_profiles`].
     pub ignore_profiles: bool,
+    /// Stops the reading from another thread.
+    pub cancel: CancelToken,
 }
 
 impl CaptureOptions {
@@ -152,6 +155,12 @@ impl CaptureOptions {
     /// `light_intensity` stays what it is.
     pub fn ignore_profiles(mut self, ignore: bool) -> Self {
         self.ignore_profiles = ignore;
+        self
+    }
+
+    /// Stops the reading once `token` is cancelled, also while a photo is decoded: it ends with [`Error::Cancelled`].
+    pub fn cancel(mut self, token: CancelToken) -> Self {
+        self.cancel = token;
         self
     }
 }
@@ -297,10 +306,10 @@ impl Capture {
             Some(views) => check_views(views, entries.len())?.iter().map(|&view| &entries[view]).collect(),
             None => entries.iter().collect(),
         };
-        let loaded = all(&selected, |entry| {
-            let stored = read_stored(&entry.path)?;
+        let loaded = all(&selected, &options.cancel, |entry| {
+            let stored = read_stored(&entry.path, &options.cancel)?;
             let (pixels, colors) = (stored.pixels(), stored.colors.as_ref());
-            let photo = develop(&entry.name, entry.shot, pixels, colors, encoding, options.size)?;
+            let photo = develop(&entry.name, entry.shot, pixels, colors, encoding, options)?;
             Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
         })?;
         Self::assemble(loaded, patch_size, unit, options.size)
@@ -352,10 +361,10 @@ impl Capture {
             Some(views) => check_views(views, photos.len())?.iter().map(|&view| &photos[view]).collect(),
             None => photos.iter().collect(),
         };
-        let loaded = all(&selected, |photo| {
+        let loaded = all(&selected, &options.cancel, |photo| {
             let PhotoPixels { name, shot, width, height, channels, samples } = *photo;
             let pixels = Pixels { width, height, channels, samples };
-            develop(name, shot, pixels, None, encoding, options.size)
+            develop(name, shot, pixels, None, encoding, options)
         })?;
         Self::assemble(loaded, patch_size, None, options.size)
     }
@@ -518,7 +527,7 @@ struct Loaded {
     notes: Vec<String>,
 }
 
-/// Makes a linear photo of stored pixels: decodes, resamples to at most `size`, expands grey, converts to Rec. 709, notes what is saturated.
+/// Makes a linear photo of stored pixels: decodes, resamples as `options` say, expands grey, converts to Rec. 709, notes what is saturated.
 ///
 /// `colors` is what the file says of its colours. A conversion mixes the channels: a pixel saturated in one is saturated in all then.
 fn develop(
@@ -527,10 +536,10 @@ fn develop(
     pixels: Pixels<'_>,
     colors: Option<&FileColors>,
     encoding: Encoding,
-    size: Option<usize>,
+    options: &CaptureOptions,
 ) -> Result<Loaded> {
     let white_level = encoding.white_level;
-    if size == Some(0) {
+    if options.size == Some(0) {
         return Err(Error::invalid("size", "expected at least 1 pixel, got 0"));
     }
     let (stated, mut notes) = encoding.of_photo(pixels.samples);
@@ -552,9 +561,12 @@ fn develop(
     let colors = pixels.colors();
     let reader = RowReader::new(pixels, &decoding, white_level);
     let full_size = (pixels.width, pixels.height);
-    let (width, height) = fit_size(pixels.width, pixels.height, size);
-    let (mut values, mut saturated) =
-        shrink(full_size, (width, height), colors, |y, row, mask| reader.read(y, row, Some(mask)))?;
+    let (width, height) = fit_size(pixels.width, pixels.height, options.size);
+    let (mut values, mut saturated) = shrink(full_size, (width, height), colors, |y, row, mask| {
+        options.cancel.check()?;
+        reader.read(y, row, Some(mask));
+        Ok(())
+    })?;
     if colors == 1 {
         values = memory::collected(3 * values.len(), values.iter().flat_map(|&grey| [grey; 3]))?;
         for bits in &mut saturated {
@@ -630,10 +642,17 @@ fn check_finite(name: &str, values: &[f32], row: usize) -> Result<()> {
     }
 }
 
-/// Loads photos on threads of our own. Of several bad ones the first is reported, every time.
-fn all<T: Sync>(photos: &[&T], load: impl Fn(&T) -> Result<Loaded> + Sync + Send) -> Result<Vec<Loaded>> {
+/// Loads photos on threads of our own, until `cancel` is cancelled. Of several bad ones the first is reported, every time.
+fn all<T: Sync>(
+    photos: &[&T],
+    cancel: &CancelToken,
+    load: impl Fn(&T) -> Result<Loaded> + Sync + Send,
+) -> Result<Vec<Loaded>> {
     check_count(photos.len())?;
-    pool::inside(|| Ok(photos.par_iter().map(|photo| load(photo)).collect::<Vec<_>>()))?.into_iter().collect()
+    let load = |photo: &&T| cancel.check().and_then(|()| load(photo));
+    let loaded = pool::inside(|| Ok(photos.par_iter().map(load).collect::<Vec<_>>()))?;
+    cancel.check()?;
+    loaded.into_iter().collect()
 }
 
 /// # Errors

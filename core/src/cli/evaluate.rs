@@ -6,6 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{CaptureArgs, load_material, say, say_json};
+use crate::cancel::CancelToken;
 use crate::error::{Error, Result, printable};
 use crate::metrics::{MapErrors, photo_rmse};
 use crate::render::render_photo;
@@ -40,10 +41,10 @@ struct PhotoError {
     rmse: f64,
 }
 
-pub fn run(args: &EvaluateArgs) -> Result<()> {
-    let material = load_material(&args.material)?;
+pub fn run(args: &EvaluateArgs, cancel: &CancelToken) -> Result<()> {
+    let material = load_material(&args.material, cancel)?;
     let size = material.width().max(material.height());
-    let capture = args.capture.open(Some(size))?;
+    let capture = args.capture.open(Some(size), cancel)?;
     if (capture.width(), capture.height()) != (material.width(), material.height()) {
         return Err(Error::shape(
             args.capture.capture.display().to_string(),
@@ -60,6 +61,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
         .iter()
         .enumerate()
         .map(|(index, photo)| {
+            cancel.check()?;
             let rmse = photo_rmse(&render_photo(&material, &capture, index)?, &photo.image)?;
             Ok(PhotoError { name: photo.name.clone(), rmse })
         })
@@ -67,7 +69,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     let rmse = photos.iter().map(|photo| photo.rmse).sum::<f64>() / photos.len() as f64;
     let maps = match &args.truth {
         Some(truth) => {
-            let truth = load_material(truth)?;
+            let truth = load_material(truth, cancel)?;
             Some(MapErrors::between(&material, &truth.resized(size)?)?)
         }
         None => None,

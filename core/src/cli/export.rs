@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::{load_material, say, say_json};
+use crate::cancel::CancelToken;
 use crate::error::Result;
 use crate::export::principled::Loss;
 use crate::export::{ExportOptions, ExportReport, ExportTarget, NormalConvention};
@@ -64,8 +65,9 @@ impl ExportArgs {
     }
 }
 
-pub fn run(args: &ExportArgs) -> Result<()> {
-    let report = load_material(&args.material)?.export(&args.out, &args.options())?;
+pub fn run(args: &ExportArgs, cancel: &CancelToken) -> Result<()> {
+    let material = load_material(&args.material, cancel)?;
+    let report = material.export_unless(&args.out, &args.options(), cancel)?;
     if args.json { say_json(&report) } else { say(&summary(&report)) }
 }
 

@@ -10,11 +10,12 @@ use serde_json::json;
 
 use super::outputs::keep;
 use super::{CaptureArgs, complain, say, say_json};
+use crate::cancel::CancelToken;
 use crate::capture::photo_files;
 use crate::color::ColorSpace;
 use crate::error::{Error, Result, printable};
 use crate::fit::options::{FitOptions, Method, Preset};
-use crate::fit::progress::{CancelToken, Progress};
+use crate::fit::progress::Progress;
 use crate::fit::report::FitReport;
 use crate::fit::{Fit, fit_material};
 use crate::io::material::{self, MaterialFormat, PREVIEW_PNG, SaveOptions, file_names};
@@ -132,31 +133,26 @@ impl FitArgs {
     }
 }
 
-pub fn run(args: &FitArgs) -> Result<()> {
-    let cancel = CancelToken::new();
-    let on_interrupt = cancel.clone();
-    // A host that has its own handler keeps it.
-    drop(ctrlc::set_handler(move || on_interrupt.cancel()));
-
+pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
     check_folder(&args.out)?;
     let photos = photo_files(args.capture.path()?)?;
     for name in file_names(args.format()) {
         keep(&args.out.join(name), "a photo that this command reads", photos.clone())?;
     }
     material::check_folder(&args.out, args.format())?;
-    let capture = args.capture.open(args.size)?;
+    let capture = args.capture.open(args.size, cancel)?;
     let model = args.weights.as_deref().map(|path| Model::load_for(path, capture.len())).transpose()?;
     let mut bar = Bar::new(args.quiet || args.json);
-    let fit = fit_material(&capture, model.as_ref(), &args.fit_options(cancel), &mut |progress| {
+    let fit = fit_material(&capture, model.as_ref(), &args.fit_options(cancel.clone()), &mut |progress| {
         bar.show(progress);
         ControlFlow::Continue(())
     });
     bar.finish();
     let Fit { material, deviations, report } = fit?;
     let report_json = serde_json::to_value(&report).map_err(|error| Error::invalid("report", error.to_string()))?;
-    let preview = super::preview::preview(&material, &capture)?;
+    let preview = super::preview::preview(&material, &capture, cancel)?;
     let save_options = args.save_options().report(report_json.clone()).deviations(deviations).preview(preview);
-    material.save(&args.out, &save_options)?;
+    material.save_unless(&args.out, &save_options, cancel)?;
 
     for warning in &report.warnings {
         complain(&format!("warning: {}", printable(warning)));

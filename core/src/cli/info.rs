@@ -6,6 +6,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::{load_material, say, say_json};
+use crate::cancel::CancelToken;
 use crate::error::{Error, Result, printable};
 use crate::io::describe::{describe, is_image};
 use crate::io::material::read_report;
@@ -21,7 +22,7 @@ pub struct InfoArgs {
     json: bool,
 }
 
-pub fn run(args: &InfoArgs) -> Result<()> {
+pub fn run(args: &InfoArgs, cancel: &CancelToken) -> Result<()> {
     if is_image(&args.file) {
         let got = format!(
             "{}: expected a weights file or the folder of a material, see docs/weights.md and docs/materials.md; photos are for captures, see docs/captures.md",
@@ -29,12 +30,12 @@ pub fn run(args: &InfoArgs) -> Result<()> {
         );
         return Err(Error::UnsupportedFormat { name: args.file.display().to_string(), got });
     }
-    let facts = if args.file.is_dir() { material(args)? } else { weights(args)? };
+    let facts = if args.file.is_dir() { material(args, cancel)? } else { weights(args)? };
     if args.json { say_json(&facts) } else { say(&lines(&facts, 0)) }
 }
 
-fn material(args: &InfoArgs) -> Result<Value> {
-    let material = load_material(&args.file)?;
+fn material(args: &InfoArgs, cancel: &CancelToken) -> Result<Value> {
+    let material = load_material(&args.file, cancel)?;
     Ok(json!({
         "kind": "material",
         "width": material.width(),

@@ -15,11 +15,12 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::cancel::CancelToken;
 use crate::capture::{Capture, CaptureOptions};
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result, printable};
 use crate::io::describe::describe;
-use crate::io::material::MATERIAL_JSON;
+use crate::io::material::{LoadOptions, MATERIAL_JSON};
 use crate::material::Material;
 
 /// Material maps from flash photos.
@@ -92,8 +93,8 @@ impl CaptureArgs {
         Ok(&self.capture)
     }
 
-    fn open(&self, size: Option<usize>) -> Result<Capture> {
-        Capture::open_with(self.path()?, &self.options(size))
+    fn open(&self, size: Option<usize>, cancel: &CancelToken) -> Result<Capture> {
+        Capture::open_with(self.path()?, &self.options(size).cancel(cancel.clone()))
     }
 
     fn options(&self, size: Option<usize>) -> CaptureOptions {
@@ -178,13 +179,17 @@ pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) ->
         // A host may have set a subscriber of its own; it keeps it.
         drop(tracing_subscriber::fmt().with_writer(std::io::stderr).with_max_level(tracing::Level::DEBUG).try_init());
     }
+    let cancel = CancelToken::new();
+    let on_interrupt = cancel.clone();
+    // A host that has its own handler keeps it.
+    drop(ctrlc::set_handler(move || on_interrupt.cancel()));
     let result = match cli.command {
-        Command::Fit(args) => fit::run(&args),
-        Command::Render(args) => render::run(&args),
-        Command::Evaluate(args) => evaluate::run(&args),
-        Command::Export(args) => export::run(&args),
-        Command::Info(args) => info::run(&args),
-        Command::Train(args) => train::run(&args),
+        Command::Fit(args) => fit::run(&args, &cancel),
+        Command::Render(args) => render::run(&args, &cancel),
+        Command::Evaluate(args) => evaluate::run(&args, &cancel),
+        Command::Export(args) => export::run(&args, &cancel),
+        Command::Info(args) => info::run(&args, &cancel),
+        Command::Train(args) => train::run(&args, &cancel),
     };
     match result {
         Ok(()) => 0,
@@ -207,9 +212,9 @@ fn exit_code(error: &Error) -> i32 {
 }
 
 /// A material folder, with what there is to say about how it was read, or about what is there instead.
-fn load_material(folder: &Path) -> Result<Material> {
-    let material = Material::load(folder).map_err(|error| {
-        if !folder.exists() || folder.join(MATERIAL_JSON).exists() {
+fn load_material(folder: &Path, cancel: &CancelToken) -> Result<Material> {
+    let material = Material::load_unless(folder, &LoadOptions::new(), cancel).map_err(|error| {
+        if matches!(error, Error::Cancelled) || !folder.exists() || folder.join(MATERIAL_JSON).exists() {
             return error;
         }
         let got = format!(

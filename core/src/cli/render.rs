@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::outputs::keep_maps_and_photos;
 use super::{ColorSpaceArg, TransferArg, Triple, complain, load_material};
+use crate::cancel::CancelToken;
 use crate::capture::Shot;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
@@ -41,9 +42,9 @@ pub struct RenderArgs {
     out: PathBuf,
 }
 
-pub fn run(args: &RenderArgs) -> Result<()> {
+pub fn run(args: &RenderArgs, cancel: &CancelToken) -> Result<()> {
     keep_maps_and_photos(&args.out, &args.material)?;
-    let material = load_material(&args.material)?;
+    let material = load_material(&args.material, cancel)?;
     let (width, height) = (material.width(), material.height());
     if let Some(size) = args.size.filter(|&size| size > width.max(height)) {
         complain(&format!("warning: size: {size} pixels asked for, maps of {width} x {height} are not enlarged"));
@@ -64,7 +65,9 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let light_intensity = args.light_intensity.map_or([std::f64::consts::PI * distance2; 3], |intensity| intensity.0);
     let light_intensity = color_space.convert(ColorSpace::Rec709, light_intensity);
     let shot = Shot { camera: args.camera.0, light: args.light.0, light_intensity };
+    cancel.check()?;
     let mut picture = render(&material, &shot)?;
+    cancel.check()?;
     ColorSpace::Rec709.convert_image(color_space, &mut picture);
     write_image_in(&args.out, &picture, transfer, color_space)
 }

@@ -6,8 +6,8 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{complain, say};
+use crate::cancel::CancelToken;
 use crate::error::{Error, Result, printable};
-use crate::fit::progress::CancelToken;
 use crate::pool::pool;
 use crate::train::{Configuration, Event, RunOptions, Validation, run as train};
 
@@ -38,14 +38,9 @@ pub struct TrainArgs {
     quiet: bool,
 }
 
-pub fn run(args: &TrainArgs) -> Result<()> {
-    let cancel = CancelToken::new();
-    let on_interrupt = cancel.clone();
-    // A host that has its own handler keeps it.
-    drop(ctrlc::set_handler(move || on_interrupt.cancel()));
-
+pub fn run(args: &TrainArgs, cancel: &CancelToken) -> Result<()> {
     let config = Configuration::load(&args.config, &args.changes)?;
-    let options = RunOptions { seconds: args.seconds, license: args.license.clone(), cancel };
+    let options = RunOptions { seconds: args.seconds, license: args.license.clone(), cancel: cancel.clone() };
     let pool = pool(args.threads)?;
     let bar = Bar::new(args.quiet);
     let summary = pool.install(|| train(&config, &args.output, &options, &mut |event| bar.show(event)));

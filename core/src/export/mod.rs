@@ -13,6 +13,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
+use crate::cancel::CancelToken;
 use crate::error::{Error, Result};
 use crate::material::Material;
 use principled::{Loss, Principled};
@@ -193,9 +194,22 @@ impl Material {
     /// # Ok::<(), svbrdf_gcn::Error>(())
     /// ```
     pub fn export(&self, folder: impl AsRef<Path>, options: &ExportOptions) -> Result<ExportReport> {
+        self.export_unless(folder.as_ref(), options, &CancelToken::new())
+    }
+
+    /// [`Material::export`], given up if `cancel` is cancelled before files are about to take their places.
+    ///
+    /// # Errors
+    /// As [`Material::export`]; [`Error::Cancelled`], and nothing has changed.
+    pub(crate) fn export_unless(
+        &self,
+        folder: &Path,
+        options: &ExportOptions,
+        cancel: &CancelToken,
+    ) -> Result<ExportReport> {
         let normals = options.check()?;
         let material = self.limited()?;
-        let mut writer = Writer::new(folder.as_ref(), &options.name, normals);
+        let mut writer = Writer::new(folder, &options.name, normals, cancel);
         let content = match options.target {
             ExportTarget::MaterialX => materialx::write(&material, &mut writer)?,
             ExportTarget::Gltf => gltf::write(&material, &mut writer)?,

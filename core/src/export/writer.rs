@@ -7,6 +7,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::{Content, ExportReport, ExportTarget, ExportedFile, NormalConvention};
+use crate::cancel::CancelToken;
 use crate::color::Transfer;
 use crate::error::{Error, Result};
 use crate::image::Image;
@@ -21,13 +22,14 @@ pub struct Writer<'a> {
     folder: &'a Path,
     name: &'a str,
     normals: NormalConvention,
+    cancel: &'a CancelToken,
     files: Vec<(String, Vec<u8>)>,
     entries: Vec<ExportedFile>,
 }
 
 impl<'a> Writer<'a> {
-    pub fn new(folder: &'a Path, name: &'a str, normals: NormalConvention) -> Self {
-        Self { folder, name, normals, files: Vec::new(), entries: Vec::new() }
+    pub fn new(folder: &'a Path, name: &'a str, normals: NormalConvention, cancel: &'a CancelToken) -> Self {
+        Self { folder, name, normals, cancel, files: Vec::new(), entries: Vec::new() }
     }
 
     /// What the material is called.
@@ -59,6 +61,7 @@ impl<'a> Writer<'a> {
     }
 
     fn png(&mut self, stem: &str, bits: u8, image: &Image, transfer: Transfer, holds: &str) -> Result<String> {
+        self.cancel.check()?;
         let file = format!("{stem}.png");
         let path = self.folder.join(&file);
         let bytes = if bits == 16 { png16(&path, image, transfer)? } else { png8(&path, image, transfer)? };
@@ -99,7 +102,7 @@ impl<'a> Writer<'a> {
         let (normals, files) = (self.normals, self.entries);
         let report = ExportReport { target, normals, files, ior, loss, loss_without_extensions, lost };
 
-        let saving = Saving::begin(self.folder)?;
+        let saving = Saving::begin(self.folder, self.cancel)?;
         let own = Description::Export.file();
         ours::check(self.folder, Description::Export, self.files.iter().map(|(name, _)| name.as_str()).chain([own]))?;
         let former = Former::read(self.folder, target, self.name);
@@ -200,7 +203,8 @@ mod tests {
             old.export(dir.path(), &options).unwrap();
             let (result, reached) = failing::at(at, true, || new.export(dir.path(), &options));
             // Whoever comes next in this folder finishes it or clears it away.
-            read_whole(dir.path(), Description::Export.file(), 1 << 20, |_: &Files<'_>| Ok(())).unwrap();
+            read_whole(dir.path(), Description::Export.file(), 1 << 20, &CancelToken::new(), |_: &Files<'_>| Ok(()))
+                .unwrap();
             let found = content(dir.path());
             assert!(found == whole_old || found == whole_new, "step {at}: {:?}", found.keys());
             if !reached {

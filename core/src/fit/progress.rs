@@ -1,9 +1,8 @@
 //! Progress, cancellation, and the handle through which long work reports both.
 
 use std::ops::ControlFlow;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
+pub use crate::cancel::CancelToken;
 use crate::error::{Error, Result};
 
 /// The parts of a fit, in the order they run.
@@ -48,27 +47,6 @@ pub struct Progress {
     pub steps: usize,
     /// The loss before the last step, where the stage has one.
     pub loss: Option<f64>,
-}
-
-/// A flag that stops a running fit from any thread; clones share it.
-#[derive(Clone, Debug, Default)]
-pub struct CancelToken(Arc<AtomicBool>);
-
-impl CancelToken {
-    /// A token that is not cancelled.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// Asks every run that holds this token to stop.
-    pub fn cancel(&self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-
-    /// Whether [`CancelToken::cancel`] was called.
-    pub fn is_cancelled(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
 }
 
 /// The callback of a fit: called at least after every step and, during long steps, some ten times a second with unchanged values.

@@ -3,13 +3,18 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use image::codecs::jpeg::JpegDecoder;
 use image::codecs::png::PngDecoder;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageError};
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::errors::DecodeErrors;
+use zune_jpeg::zune_core::colorspace::ColorSpace as JpegColors;
+use zune_jpeg::zune_core::options::DecoderOptions;
 
+use super::file::read_file_unless;
 use super::profile::{Decoding, FileColors};
-use super::{exr, jpeg, read_file, tiff};
+use super::{exr, jpeg, tiff};
+use crate::cancel::{CancelToken, Cancellable};
 use crate::color::{Chromaticities, Transfer};
 use crate::error::{Error, Result};
 use crate::image::Image;
@@ -122,15 +127,21 @@ impl Stored {
     }
 
     /// Turns the image the way its orientation tag asks for.
-    pub(super) fn orient(self, orientation: Orientation) -> Result<Self> {
+    pub(super) fn orient(self, orientation: Orientation, cancel: &CancelToken) -> Result<Self> {
         if orientation == Orientation::NoTransforms {
             return Ok(self);
         }
         let (width, height, channels) = (self.width, self.height, self.channels);
         let samples = match self.samples {
-            OwnedSamples::U8(values) => OwnedSamples::U8(oriented(&values, width, height, channels, orientation)?),
-            OwnedSamples::U16(values) => OwnedSamples::U16(oriented(&values, width, height, channels, orientation)?),
-            OwnedSamples::F32(values) => OwnedSamples::F32(oriented(&values, width, height, channels, orientation)?),
+            OwnedSamples::U8(values) => {
+                OwnedSamples::U8(oriented(&values, width, height, channels, orientation, cancel)?)
+            }
+            OwnedSamples::U16(values) => {
+                OwnedSamples::U16(oriented(&values, width, height, channels, orientation, cancel)?)
+            }
+            OwnedSamples::F32(values) => {
+                OwnedSamples::F32(oriented(&values, width, height, channels, orientation, cancel)?)
+            }
         };
         let (width, height) = if swaps_axes(orientation) { (height, width) } else { (width, height) };
         let mut notes = self.notes;
@@ -151,10 +162,12 @@ fn oriented<T: Copy>(
     height: usize,
     channels: usize,
     orientation: Orientation,
+    cancel: &CancelToken,
 ) -> Result<Vec<T>> {
     let (out_width, out_height) = if swaps_axes(orientation) { (height, width) } else { (width, height) };
     let mut out = memory::reserved(values.len())?;
     for row in 0..out_height {
+        cancel.check()?;
         for column in 0..out_width {
             let (x, y) = match orientation {
                 Orientation::NoTransforms => (column, row),
@@ -240,19 +253,26 @@ impl<'a> RowReader<'a> {
     }
 }
 
-/// Reads and decodes the file `path`.
-pub(crate) fn read_stored(path: &Path) -> Result<Stored> {
-    decode(path, &read_file(path, MAX_DECODED_BYTES + SMALL_FILE)?)
+/// Reads and decodes the file `path`, until `cancel` is cancelled.
+pub(crate) fn read_stored(path: &Path, cancel: &CancelToken) -> Result<Stored> {
+    decode(path, &read_file_unless(path, MAX_DECODED_BYTES + SMALL_FILE, cancel)?, cancel)
 }
 
-/// Decodes the bytes of an image file; `path` is its name in messages.
-pub(crate) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
+/// Decodes the bytes of an image file, until `cancel` is cancelled; `path` is its name in messages.
+pub(crate) fn decode(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
+    let decoded = decode_by_kind(path, bytes, cancel);
+    // A decoder makes of the end of its reader what it likes, a damaged file or a grey picture.
+    cancel.check()?;
+    decoded
+}
+
+fn decode_by_kind(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
     match bytes {
         [] => Err(broken(path, "the file is empty")),
-        [0x89, b'P', b'N', b'G', ..] => decode_png(path, bytes),
-        [0xff, 0xd8, 0xff, ..] => decode_jpeg(path, bytes),
-        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff::decode(path, bytes),
-        [0x76, 0x2f, 0x31, 0x01, ..] => exr::decode(path, bytes),
+        [0x89, b'P', b'N', b'G', ..] => decode_png(path, bytes, cancel),
+        [0xff, 0xd8, 0xff, ..] => decode_jpeg(path, bytes, cancel),
+        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff::decode(path, bytes, cancel),
+        [0x76, 0x2f, 0x31, 0x01, ..] => exr::decode(path, bytes, cancel),
         _ => match known_by_name(bytes) {
             Some(kind) => Err(unsupported(path, kind)),
             None => {
@@ -332,12 +352,32 @@ pub(super) fn plausible_bytes(file_bytes: usize) -> u64 {
     (file_bytes as u64).saturating_mul(MAX_COMPRESSION).saturating_add(SMALL_FILE)
 }
 
-fn decode_png(path: &Path, bytes: &[u8]) -> Result<Stored> {
+fn decode_png(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
     let mut limits = image::Limits::no_limits();
     limits.max_alloc = Some(plausible_bytes(bytes.len()).min(MAX_DECODED_BYTES));
-    let decoder = PngDecoder::with_limits(Cursor::new(bytes), limits).map_err(|e| image_error(path, e))?;
-    let stored = decode_with(path, bytes, decoder)?;
-    Ok(Stored { colors: png_colors(bytes, stored.colors), ..stored })
+    let reader = Cancellable::new(Cursor::new(bytes), cancel);
+    let mut decoder = PngDecoder::with_limits(reader, limits).map_err(|e| image_error(path, e))?;
+    let (width, height) = decoder.dimensions();
+    let bytes_per_pixel = u64::from(decoder.color_type().bytes_per_pixel());
+    check_size(path, width.into(), height.into(), bytes_per_pixel, bytes.len())?;
+    let exif = decoder.exif_metadata().ok().flatten();
+    let exif = exif.as_deref().map(tiff::Exif::read).unwrap_or_default();
+    let profile = decoder.icc_profile().ok().flatten().filter(|profile| !profile.is_empty()).map(FileColors::Icc);
+    let (channels, samples) = match DynamicImage::from_decoder(decoder).map_err(|e| image_error(path, e))? {
+        DynamicImage::ImageLuma8(image) => (1, OwnedSamples::U8(image.into_raw())),
+        DynamicImage::ImageLumaA8(image) => (2, OwnedSamples::U8(image.into_raw())),
+        DynamicImage::ImageRgb8(image) => (3, OwnedSamples::U8(image.into_raw())),
+        DynamicImage::ImageRgba8(image) => (4, OwnedSamples::U8(image.into_raw())),
+        DynamicImage::ImageLuma16(image) => (1, OwnedSamples::U16(image.into_raw())),
+        DynamicImage::ImageLumaA16(image) => (2, OwnedSamples::U16(image.into_raw())),
+        DynamicImage::ImageRgb16(image) => (3, OwnedSamples::U16(image.into_raw())),
+        DynamicImage::ImageRgba16(image) => (4, OwnedSamples::U16(image.into_raw())),
+        other => return Err(unsupported(path, format!("{:?} pixels", other.color()))),
+    };
+    let colors = png_colors(bytes, profile.or(exif.colors));
+    let (width, height, notes) = (width as usize, height as usize, Vec::new());
+    let stored = Stored { width, height, channels, samples, colors, notes };
+    stored.orient(exif.orientation.unwrap_or(Orientation::NoTransforms), cancel)
 }
 
 /// What the chunks of a PNG say of its colours beside its profile, by their rank: `cICP`, the profile, `sRGB`, `gAMA` and `cHRM`.
@@ -380,36 +420,36 @@ fn png_colors(bytes: &[u8], profile: Option<FileColors>) -> Option<FileColors> {
     Some(FileColors::Chromaticities { chromaticities, gamma, source: "the chunks gAMA and cHRM" })
 }
 
-pub(super) fn decode_jpeg(path: &Path, bytes: &[u8]) -> Result<Stored> {
-    let note = jpeg::check(path, bytes)?;
-    let decoder = JpegDecoder::new(Cursor::new(bytes)).map_err(|e| image_error(path, e))?;
-    let mut stored = decode_with(path, bytes, decoder)?;
-    stored.notes.extend(note);
-    Ok(stored)
+pub(super) fn decode_jpeg(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
+    let notes = jpeg::check(path, bytes, cancel)?.into_iter().collect();
+    // What is damaged the check has found; the decoder is to agree with what other programs make of the rest.
+    let options = DecoderOptions::default().set_strict_mode(false).set_max_width(usize::MAX).set_max_height(usize::MAX);
+    let reader = Cancellable::new(Cursor::new(bytes), cancel);
+    let mut decoder = JpegDecoder::new_with_options(reader, options);
+    decoder.decode_headers().map_err(|e| jpeg_error(path, e))?;
+    let (Some((width, height)), Some(stored_as)) = (decoder.dimensions(), decoder.input_colorspace()) else {
+        return Err(broken(path, "JPEG without a picture"));
+    };
+    let (channels, read_as) = match stored_as {
+        JpegColors::Luma => (1, JpegColors::Luma),
+        _ => (3, JpegColors::RGB),
+    };
+    check_size(path, width as u64, height as u64, channels as u64, bytes.len())?;
+    decoder.set_options(options.jpeg_set_out_colorspace(read_as));
+    let mut samples = memory::filled(0, width * height * channels)?;
+    decoder.decode_into(&mut samples).map_err(|e| jpeg_error(path, e))?;
+    let exif = decoder.exif().map(|exif| tiff::Exif::read(exif)).unwrap_or_default();
+    let profile = decoder.icc_profile().filter(|profile| !profile.is_empty()).map(FileColors::Icc);
+    let (samples, colors) = (OwnedSamples::U8(samples), profile.or(exif.colors));
+    let stored = Stored { width, height, channels, samples, colors, notes };
+    stored.orient(exif.orientation.unwrap_or(Orientation::NoTransforms), cancel)
 }
 
-fn decode_with(path: &Path, bytes: &[u8], mut decoder: impl ImageDecoder) -> Result<Stored> {
-    let (width, height) = decoder.dimensions();
-    let bytes_per_pixel = u64::from(decoder.color_type().bytes_per_pixel());
-    check_size(path, width.into(), height.into(), bytes_per_pixel, bytes.len())?;
-    let exif = decoder.exif_metadata().ok().flatten();
-    let exif = exif.as_deref().map(tiff::Exif::read).unwrap_or_default();
-    let profile = decoder.icc_profile().ok().flatten().filter(|profile| !profile.is_empty()).map(FileColors::Icc);
-    let (channels, samples) = match DynamicImage::from_decoder(decoder).map_err(|e| image_error(path, e))? {
-        DynamicImage::ImageLuma8(image) => (1, OwnedSamples::U8(image.into_raw())),
-        DynamicImage::ImageLumaA8(image) => (2, OwnedSamples::U8(image.into_raw())),
-        DynamicImage::ImageRgb8(image) => (3, OwnedSamples::U8(image.into_raw())),
-        DynamicImage::ImageRgba8(image) => (4, OwnedSamples::U8(image.into_raw())),
-        DynamicImage::ImageLuma16(image) => (1, OwnedSamples::U16(image.into_raw())),
-        DynamicImage::ImageLumaA16(image) => (2, OwnedSamples::U16(image.into_raw())),
-        DynamicImage::ImageRgb16(image) => (3, OwnedSamples::U16(image.into_raw())),
-        DynamicImage::ImageRgba16(image) => (4, OwnedSamples::U16(image.into_raw())),
-        other => return Err(unsupported(path, format!("{:?} pixels", other.color()))),
-    };
-    let colors = profile.or(exif.colors);
-    let stored =
-        Stored { width: width as usize, height: height as usize, channels, samples, colors, notes: Vec::new() };
-    stored.orient(exif.orientation.unwrap_or(Orientation::NoTransforms))
+fn jpeg_error(path: &Path, error: DecodeErrors) -> Error {
+    match error {
+        DecodeErrors::Unsupported(scheme) => unsupported(path, format!("{scheme:?}")),
+        error => broken(path, format!("{error:?}")),
+    }
 }
 
 fn image_error(path: &Path, error: ImageError) -> Error {
@@ -441,7 +481,53 @@ mod tests {
         ];
         for (exif, width, values) in stored {
             let orientation = Orientation::from_exif(exif).unwrap();
-            assert_eq!(oriented(&values, width, 6 / width, 1, orientation).unwrap(), upright, "orientation {exif}");
+            assert_eq!(
+                oriented(&values, width, 6 / width, 1, orientation, &CancelToken::new()).unwrap(),
+                upright,
+                "orientation {exif}"
+            );
+        }
+    }
+
+    /// Large pictures in every kind of file, in few bytes where the kind allows it.
+    fn large() -> Vec<(&'static str, Vec<u8>)> {
+        const SIDE: usize = 800;
+        let path = Path::new("large");
+        let grey = Image::new(SIDE, SIDE, 1, vec![0.25; SIDE * SIDE]).unwrap();
+        let noise = (0..3 * SIDE * SIDE).map(|i| (i * 7919 % 1009) as f32 / 1009.0).collect();
+        let noise = Image::new(SIDE, SIDE, 3, noise).unwrap();
+        let jpeg = |image: &Image| super::super::encode::jpeg(path, image, Transfer::Srgb).unwrap();
+        let exr = |image: &Image| {
+            let channels = super::super::encode::named_channels(image).unwrap();
+            let color_space = crate::color::ColorSpace::Rec709;
+            exr::encode(path, SIDE, SIDE, &channels, exr::Precision::Half, color_space).unwrap()
+        };
+        vec![
+            ("smooth PNG", super::super::png8(path, &grey, Transfer::Srgb).unwrap()),
+            ("PNG", super::super::png16(path, &noise, Transfer::Srgb).unwrap()),
+            ("smooth JPEG", jpeg(&grey)),
+            ("JPEG", jpeg(&noise)),
+            ("TIFF", super::super::encode::tiff_float(path, &noise).unwrap()),
+            ("smooth OpenEXR", exr(&grey)),
+            ("OpenEXR", exr(&noise)),
+        ]
+    }
+
+    #[test]
+    fn every_decoder_stops_when_it_is_cancelled() {
+        for (kind, bytes) in large() {
+            let path = Path::new(kind);
+            let cancel = CancelToken::at_look(usize::MAX);
+            decode(path, &bytes, &cancel).unwrap();
+            let looks = cancel.looks();
+            assert!(looks > 3 && looks > bytes.len() >> 20, "{kind}: {looks} looks at {} bytes", bytes.len());
+            for last in [1, 2, looks / 2, looks - 1, looks] {
+                let cancel = CancelToken::at_look(last);
+                let error = decode(path, &bytes, &cancel).unwrap_err();
+                assert!(matches!(error, Error::Cancelled), "{kind}, look {last}: {error}");
+                // Errors may be met with a few more attempts to read.
+                assert!(cancel.looks() < last + 100, "{kind}, look {last}: {} looks", cancel.looks());
+            }
         }
     }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use super::decode::{kind, read_stored};
 use super::material::MATERIAL_JSON;
+use crate::cancel::CancelToken;
 
 /// The description of a capture of our own.
 pub(crate) const CAPTURE_JSON: &str = "capture.json";
@@ -61,7 +62,7 @@ fn folder(path: &Path) -> String {
 fn file(path: &Path, len: u64) -> String {
     let Ok(start) = start_of(path) else { return format!("a file of {len} bytes that cannot be read") };
     if let Some(kind) = kind(&start) {
-        return match read_stored(path) {
+        return match read_stored(path, &CancelToken::new()) {
             Ok(image) => format!("{kind} image of {} x {} pixels", image.width, image.height),
             Err(_) => format!("{kind} image that cannot be read"),
         };

@@ -78,7 +78,7 @@ pub(crate) fn png8(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec
     png(path, image, &codes, color)
 }
 
-fn jpeg(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
+pub(super) fn jpeg(path: &Path, image: &Image, transfer: Transfer) -> Result<Vec<u8>> {
     let (width, height) = size32(path, image)?;
     let (codes, color) = codes8(image, transfer)?;
     let mut out = Vec::new();

@@ -15,6 +15,7 @@ use exr::prelude::{ReadChannels, ReadLayers, f16};
 use super::decode::{OwnedSamples, Stored, broken, check_size, unsupported};
 use super::ours::SOFTWARE;
 use super::profile::FileColors;
+use crate::cancel::{CancelToken, Cancellable};
 use crate::color::{Chromaticities, ColorSpace};
 use crate::error::{Error, Result};
 use crate::memory;
@@ -27,14 +28,14 @@ pub(super) enum Precision {
 }
 
 /// The decoder's arithmetic overflows on some hostile files (B44), which is a panic where overflow checks are on: that is an error of the file.
-pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
-    std::panic::catch_unwind(|| decode_unguarded(path, bytes))
+pub(super) fn decode(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
+    std::panic::catch_unwind(|| decode_unguarded(path, bytes, cancel))
         .unwrap_or_else(|_| Err(broken(path, "values that no OpenEXR file has")))
 }
 
-fn decode_unguarded(path: &Path, bytes: &[u8]) -> Result<Stored> {
+fn decode_unguarded(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
     let error = |e| exr_error(path, e);
-    let reader = exr::block::read(Cursor::new(bytes), false).map_err(error)?;
+    let reader = exr::block::read(Cancellable::new(Cursor::new(bytes), cancel), false).map_err(error)?;
     // One part is read, with all its channels; the picture takes up to three of them.
     for header in reader.headers() {
         let bytes_per_pixel = 4 * header.channels.list.len() as u64;
@@ -213,11 +214,11 @@ mod tests {
         let mut file = Cursor::new(Vec::new());
         ExrImage::from_layer(layer).write().non_parallel().to_buffered(&mut file).unwrap();
         let mut file = file.into_inner();
-        assert!(decode(Path::new("good.exr"), &file).is_ok());
+        assert!(decode(Path::new("good.exr"), &file, &CancelToken::new()).is_ok());
         // The last block of 4 x 4 samples takes 14 bytes: all differences at their most negative, from 0.
         let start = file.len() - 14;
         file[start..].fill(0);
-        match decode(Path::new("hostile.exr"), &file) {
+        match decode(Path::new("hostile.exr"), &file, &CancelToken::new()) {
             Ok(stored) => assert_eq!((stored.width, stored.height), (8, 8)),
             Err(error) => assert!(error.to_string().contains("hostile.exr"), "{error}"),
         }

@@ -4,6 +4,7 @@ use std::fs::{File, FileType, Metadata};
 use std::io::{self, Read};
 use std::path::Path;
 
+use crate::cancel::{CancelToken, Cancellable};
 use crate::error::{Error, Result};
 use crate::memory;
 
@@ -51,13 +52,23 @@ fn kind(file_type: FileType) -> Option<&'static str> {
 /// # Errors
 /// As [`open`]; [`Error::InvalidArgument`] if it has more; [`Error::OutOfMemory`] if the system refuses memory for them.
 pub(crate) fn read_file(path: &Path, max: u64) -> Result<Vec<u8>> {
+    read_file_unless(path, max, &CancelToken::new())
+}
+
+/// [`read_file`] until `cancel` is cancelled.
+///
+/// # Errors
+/// As [`read_file`]; [`Error::Cancelled`].
+pub(crate) fn read_file_unless(path: &Path, max: u64, cancel: &CancelToken) -> Result<Vec<u8>> {
     let (file, len) = open(path)?;
     if len > max {
         return Err(Error::invalid(path.display().to_string(), format!("file of {len} bytes, at most {max} are read")));
     }
     let mut bytes = memory::reserved(len as usize)?;
     // A file that grows meanwhile is read as far as it was looked at.
-    file.take(len).read_to_end(&mut bytes).map_err(|e| Error::io(path, e))?;
+    let read = Cancellable::new(file.take(len), cancel).read_to_end(&mut bytes);
+    cancel.check()?;
+    read.map_err(|e| Error::io(path, e))?;
     Ok(bytes)
 }
 

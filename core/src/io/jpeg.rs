@@ -11,6 +11,7 @@ use std::path::Path;
 use std::result::Result;
 
 use super::decode::{broken, unsupported};
+use crate::cancel::CancelToken;
 
 /// Scans beyond this many are no photo; the decoder has the same limit.
 const MAX_SCANS: usize = 100;
@@ -65,8 +66,8 @@ struct Spectrum {
 /// # Errors
 /// [`Error::Io`](crate::Error::Io) if part of the picture is missing or damaged,
 /// [`Error::UnsupportedFormat`](crate::Error::UnsupportedFormat) for CMYK, whose colours only a profile of inks knows.
-pub(super) fn check(path: &Path, bytes: &[u8]) -> crate::Result<Option<String>> {
-    let reader = Reader { bytes, at: 2, dc: Default::default(), ac: Default::default(), restart_interval: 0 };
+pub(super) fn check(path: &Path, bytes: &[u8], cancel: &CancelToken) -> crate::Result<Option<String>> {
+    let reader = Reader { bytes, cancel, at: 2, dc: Default::default(), ac: Default::default(), restart_interval: 0 };
     let checked = reader.run().map_err(|reason| broken(path, reason))?;
     if checked.components == 4 {
         return Err(unsupported(path, "a JPEG of 4 components (CMYK); read are grey and colour: save it as RGB"));
@@ -82,6 +83,7 @@ struct Checked {
 
 struct Reader<'a> {
     bytes: &'a [u8],
+    cancel: &'a CancelToken,
     at: usize,
     dc: [Option<Table>; 4],
     ac: [Option<Table>; 4],
@@ -221,6 +223,9 @@ impl Reader<'_> {
                 end_of_band = 0;
             }
             let (column, row) = (unit % across, unit / across);
+            if column == 0 && self.cancel.is_cancelled() {
+                return Err("cancelled".to_owned());
+            }
             for &(index, dc, ac) in &places {
                 let component = &mut frame.components[index];
                 let (blocks_across, blocks_down) =

@@ -12,6 +12,7 @@ use super::exr::{self, Precision};
 use super::ours::{self, Description};
 use super::resize::{fit_size, shrink};
 use super::save::{Files, Saving, read_whole};
+use crate::cancel::CancelToken;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::fit::Deviations;
@@ -400,17 +401,27 @@ impl Material {
     /// # Ok::<(), svbrdf_gcn::Error>(())
     /// ```
     pub fn save(&self, folder: impl AsRef<Path>, options: &SaveOptions) -> Result<()> {
-        let folder = folder.as_ref();
+        self.save_unless(folder.as_ref(), options, &CancelToken::new())
+    }
+
+    /// [`Material::save`], given up if `cancel` is cancelled before files are about to take their places.
+    ///
+    /// # Errors
+    /// As [`Material::save`]; [`Error::Cancelled`], and nothing has changed.
+    pub(crate) fn save_unless(&self, folder: &Path, options: &SaveOptions, cancel: &CancelToken) -> Result<()> {
         let material = self.limited()?;
         let mut files: Vec<(String, Vec<u8>)> = Vec::new();
-        let encode = |path: &Path, image: &Image, transfer, color_space: Option<ColorSpace>| match options.format {
-            MaterialFormat::Exr => {
-                let channels = named_channels(image)?;
-                let color_space = color_space.unwrap_or_default();
-                exr::encode(path, image.width(), image.height(), &channels, Precision::Half, color_space)
+        let encode = |path: &Path, image: &Image, transfer, color_space: Option<ColorSpace>| {
+            cancel.check()?;
+            match options.format {
+                MaterialFormat::Exr => {
+                    let channels = named_channels(image)?;
+                    let color_space = color_space.unwrap_or_default();
+                    exr::encode(path, image.width(), image.height(), &channels, Precision::Half, color_space)
+                }
+                MaterialFormat::Png16 => png16(path, image, transfer),
+                MaterialFormat::Tiff => tiff_float(path, image),
             }
-            MaterialFormat::Png16 => png16(path, image, transfer),
-            MaterialFormat::Tiff => tiff_float(path, image),
         };
         let mut write = |map: Map, image: &Image| {
             let mut converted = image.clone();
@@ -480,7 +491,7 @@ impl Material {
             files.push((PREVIEW_PNG.to_owned(), png8(&folder.join(PREVIEW_PNG), preview, Transfer::Linear)?));
         }
 
-        let saving = Saving::begin(folder)?;
+        let saving = Saving::begin(folder, cancel)?;
         ours::check(folder, Description::Material, files.iter().map(|(name, _)| name.as_str()))?;
         let replaced = replaced(folder, &files);
         saving.replace(&files, replaced)
@@ -505,10 +516,18 @@ impl Material {
     /// # Errors
     /// As [`Material::load`].
     pub fn load_with(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Self> {
-        let path = path.as_ref();
+        Self::load_unless(path.as_ref(), options, &CancelToken::new())
+    }
+
+    /// [`Material::load_with`] until `cancel` is cancelled.
+    ///
+    /// # Errors
+    /// As [`Material::load`]; [`Error::Cancelled`].
+    pub(crate) fn load_unless(path: &Path, options: &LoadOptions, cancel: &CancelToken) -> Result<Self> {
         let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, e))?;
         if metadata.is_dir()
-            && let Some(material) = described(path, |files, description| load_described(path, files, description))?
+            && let Some(material) =
+                described(path, cancel, |files, description| load_described(path, files, description, cancel))?
         {
             return Ok(material);
         }
@@ -521,9 +540,9 @@ impl Material {
         };
         let patch_size = options.patch_size.unwrap_or(1.0);
         let material = if metadata.is_dir() {
-            load_plain(path, encoding, patch_size)?
+            load_plain(path, encoding, patch_size, cancel)?
         } else {
-            load_strip(path, encoding, patch_size)?
+            load_strip(path, encoding, patch_size, cancel)?
         };
         Ok(Self { unit: options.unit.clone(), ..material })
     }
@@ -544,6 +563,7 @@ impl Material {
             let row = full.0 * image.channels();
             let (values, _) = shrink(full, size, image.channels(), |y, out, _| {
                 out.copy_from_slice(&image.data()[y * row..(y + 1) * row]);
+                Ok(())
             })?;
             Image::new(size.0, size.1, image.channels(), values)
         };
@@ -584,7 +604,8 @@ fn load_deviations(folder: &Path, files: &Files<'_>, names: &DeviationFiles) -> 
     let mut first = None;
     let mut read = |name: &str| {
         let path = folder.join(name);
-        let image = decode(&path, &files.read(name, MAX_MAP_BYTES)?)?.to_image(Transfer::Linear)?;
+        let image =
+            decode(&path, &files.read(name, MAX_MAP_BYTES)?, &CancelToken::new())?.to_image(Transfer::Linear)?;
         let size = [image.height(), image.width(), image.channels()];
         let expected = *first.get_or_insert([size[0], size[1], 1]);
         if size != expected {
@@ -632,15 +653,20 @@ fn replaced(folder: &Path, files: &[(String, Vec<u8>)]) -> BTreeSet<String> {
 }
 
 /// What `read` makes of a folder with a `material.json`; `None` for one without.
-fn described<T>(folder: &Path, read: impl Fn(&Files<'_>, &MaterialFile) -> Result<T>) -> Result<Option<T>> {
-    read_whole(folder, MATERIAL_JSON, MAX_JSON_BYTES, |files| {
+fn described<T>(
+    folder: &Path,
+    cancel: &CancelToken,
+    read: impl Fn(&Files<'_>, &MaterialFile) -> Result<T>,
+) -> Result<Option<T>> {
+    read_whole(folder, MATERIAL_JSON, MAX_JSON_BYTES, cancel, |files| {
         let Some(text) = &files.description else { return Ok(None) };
         read(files, &parse_description(&folder.join(MATERIAL_JSON), text)?).map(Some)
     })
 }
 
 fn required<T>(folder: &Path, read: impl Fn(&Files<'_>, &MaterialFile) -> Result<T>) -> Result<T> {
-    described(folder, read)?.ok_or_else(|| Error::io(&folder.join(MATERIAL_JSON), ErrorKind::NotFound))
+    described(folder, &CancelToken::new(), read)?
+        .ok_or_else(|| Error::io(&folder.join(MATERIAL_JSON), ErrorKind::NotFound))
 }
 
 fn parse_description(path: &Path, bytes: &[u8]) -> Result<MaterialFile> {
@@ -662,7 +688,12 @@ fn parse_description(path: &Path, bytes: &[u8]) -> Result<MaterialFile> {
     serde_json::from_slice(bytes).map_err(invalid)
 }
 
-fn load_described(folder: &Path, files: &Files<'_>, description: &MaterialFile) -> Result<Material> {
+fn load_described(
+    folder: &Path,
+    files: &Files<'_>,
+    description: &MaterialFile,
+    cancel: &CancelToken,
+) -> Result<Material> {
     let MapFiles { diffuse, specular, roughness, normal, tangent } = &description.maps;
     let mut warnings = Vec::new();
     let mut read = |map: Map, entry: &MapFile| {
@@ -674,7 +705,7 @@ fn load_described(folder: &Path, files: &Files<'_>, description: &MaterialFile) 
             warnings
                 .push(format!("{path}: changed since {MATERIAL_JSON} was written: expected {written}, got {found}"));
         }
-        let mut image = decode_map(map, description.lobe, &path, &decode(&path, &bytes)?, entry.transfer)?;
+        let mut image = decode_map(map, description.lobe, &path, &decode(&path, &bytes, cancel)?, entry.transfer)?;
         if let Some(color_space) = entry.color_space.filter(|_| map.is_color()) {
             color_space.convert_image(ColorSpace::Rec709, &mut image);
         }
@@ -702,10 +733,10 @@ fn load_described(folder: &Path, files: &Files<'_>, description: &MaterialFile) 
 }
 
 /// A folder with one image per map, in a stated encoding.
-fn load_plain(folder: &Path, encoding: MaterialEncoding, patch_size: f64) -> Result<Material> {
+fn load_plain(folder: &Path, encoding: MaterialEncoding, patch_size: f64, cancel: &CancelToken) -> Result<Material> {
     let read = |map: Map| {
         let path = find_map(folder, map)?;
-        decode_map(map, Lobe::Isotropic, &path, &read_stored(&path)?, encoding.transfer(map))
+        decode_map(map, Lobe::Isotropic, &path, &read_stored(&path, cancel)?, encoding.transfer(map))
     };
     assemble(folder, isotropic(read, patch_size)?)
 }
@@ -750,13 +781,13 @@ fn find_map(folder: &Path, map: Map) -> Result<PathBuf> {
 }
 
 /// One image of square tiles, in a stated encoding.
-fn load_strip(path: &Path, encoding: MaterialEncoding, patch_size: f64) -> Result<Material> {
+fn load_strip(path: &Path, encoding: MaterialEncoding, patch_size: f64, cancel: &CancelToken) -> Result<Material> {
     let name = || path.display().to_string();
     let Some(order) = encoding.strip() else {
         let got = format!("an image file; {} has a folder of files", encoding.name());
         return Err(Error::UnsupportedFormat { name: name(), got });
     };
-    let stored = read_stored(path)?;
+    let stored = read_stored(path, cancel)?;
     let side = stored.height;
     let photo = usize::from(encoding == MaterialEncoding::Deschaintre2018 && stored.width == 5 * side);
     if stored.width != (4 + photo) * side {

@@ -27,6 +27,7 @@ pub use encode::write_image;
 pub(crate) use encode::write_image_in;
 pub(crate) use encode::{png8, png16};
 
+use crate::cancel::CancelToken;
 use crate::color::Transfer;
 use crate::error::Result;
 use crate::image::Image;
@@ -41,7 +42,7 @@ pub(crate) use file::read_file;
 /// [`Error::Io`](crate::Error::Io) for a missing, truncated or broken file, [`Error::UnsupportedFormat`](crate::Error::UnsupportedFormat)
 /// for one of a kind that is not read, [`Error::InvalidArgument`](crate::Error::InvalidArgument) for one whose header states an absurd size.
 pub fn read_image(path: impl AsRef<Path>, transfer: Transfer) -> Result<Image> {
-    read_stored(path.as_ref())?.to_image(transfer)
+    read_stored(path.as_ref(), &CancelToken::new())?.to_image(transfer)
 }
 
 /// [`read_image`] of a file that is already in memory; `name` is what messages call it.
@@ -49,5 +50,5 @@ pub fn read_image(path: impl AsRef<Path>, transfer: Transfer) -> Result<Image> {
 /// # Errors
 /// As [`read_image`].
 pub fn decode_image(name: &str, bytes: &[u8], transfer: Transfer) -> Result<Image> {
-    decode::decode(Path::new(name), bytes)?.to_image(transfer)
+    decode::decode(Path::new(name), bytes, &CancelToken::new())?.to_image(transfer)
 }

@@ -134,6 +134,7 @@ fn panel(label: &str, side: usize, image: &Image, screen: impl Fn(f32) -> f32) -
     let size = fit_size(full.0, full.1, Some(side));
     let (values, _) = shrink(full, size, channels, |y, row, _| {
         row.copy_from_slice(&image.data()[y * full.0 * channels..(y + 1) * full.0 * channels]);
+        Ok(())
     })?;
     let scale = (side / size.0.max(size.1)).max(1);
     let (width, height) = (size.0 * scale, size.1 * scale);

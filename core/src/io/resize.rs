@@ -14,12 +14,12 @@ use crate::{memory, pool};
 /// `read(y, row, mask)` gives input row `y`: `channels` values per pixel and one byte of bits per pixel.
 ///
 /// # Errors
-/// [`Error::OutOfMemory`](crate::Error::OutOfMemory) if the system refuses memory for the output.
+/// [`Error::OutOfMemory`](crate::Error::OutOfMemory) if the system refuses memory for the output; what `read` returns.
 pub(crate) fn shrink(
     (width, height): (usize, usize),
     (out_width, out_height): (usize, usize),
     channels: usize,
-    read: impl Fn(usize, &mut [f32], &mut [u8]) + Sync,
+    read: impl Fn(usize, &mut [f32], &mut [u8]) -> Result<()> + Sync,
 ) -> Result<(Vec<f32>, Vec<u8>)> {
     debug_assert!(out_width <= width && out_height <= height);
     let columns: Vec<Footprint> = (0..out_width).map(|j| Footprint::new(width, out_width, j)).collect();
@@ -35,7 +35,7 @@ pub(crate) fn shrink(
         let mut sums = vec![0.0f64; out_width * channels];
         let footprint = Footprint::new(height, out_height, i);
         for (k, &row_weight) in footprint.weights.iter().enumerate() {
-            read(footprint.start + k, &mut row, &mut mask);
+            read(footprint.start + k, &mut row, &mut mask)?;
             for (j, column) in columns.iter().enumerate() {
                 let pixels = row[column.start * channels..].chunks_exact(channels);
                 let bits = &mask[column.start..column.start + column.weights.len()];
@@ -50,11 +50,9 @@ pub(crate) fn shrink(
         for (out, sum) in out_row.iter_mut().zip(sums) {
             *out = sum as f32;
         }
-    };
-    pool::inside(|| {
-        rows.enumerate().for_each(shrink_row);
         Ok(())
-    })?;
+    };
+    pool::inside(|| rows.enumerate().try_for_each(shrink_row))?;
     Ok((values, masks))
 }
 
@@ -94,6 +92,7 @@ mod tests {
         shrink(size, out, 1, |y, row, bits| {
             row.copy_from_slice(&values[y * size.0..(y + 1) * size.0]);
             bits.copy_from_slice(&mask[y * size.0..(y + 1) * size.0]);
+            Ok(())
         })
         .unwrap()
     }

@@ -5,6 +5,8 @@
 //! 2. A [`Record`] of what takes whose place is written likewise and renamed to [`RECORD`]. From here on the folder holds the new files.
 //! 3. The temporary files are renamed, what is not needed any more is removed, at last the record.
 //!
+//! A save that is cancelled before step 3 ends as if it had never begun; then it is carried out.
+//!
 //! After a kill there are temporary files that mean nothing, or a record, and with it all that step 3 needs: the next save or load carries it out.
 //! A load that may not write finds its files by the record ([`read_whole`]).
 //!
@@ -14,13 +16,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, TryLockError};
 use std::io::{self, ErrorKind, Write};
-use std::path::{Component, Path};
+use std::path::{Component, Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use tempfile::NamedTempFile;
 
+use super::file::read_file_unless;
 use super::read_file;
+use crate::cancel::CancelToken;
 use crate::error::{Error, Result};
 
 /// The record of a save that is being carried out.
@@ -49,7 +53,7 @@ impl Temporary {
     /// An empty file in the folder of `path`.
     pub fn beside(path: &Path) -> Result<Self> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let shared = Lock::wait(folder, Share::Others)?;
+        let shared = Lock::wait(folder, Share::Others, &CancelToken::new())?;
         Ok(Self { file: temporary_in(folder).map_err(|e| Error::io(path, e))?, _shared: shared })
     }
 
@@ -83,16 +87,43 @@ pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
 /// A folder whose files are about to be replaced; nobody else saves there meanwhile.
 pub(crate) struct Saving<'a> {
     folder: &'a Path,
+    cancel: &'a CancelToken,
+    _made: Made,
     _alone: Option<Lock>,
+}
+
+/// The folders that a save made, innermost first. Those that are empty in the end go again.
+struct Made(Vec<PathBuf>);
+
+impl Made {
+    /// Makes `folder` and what it lies in, as far as they are not there.
+    fn make(folder: &Path) -> Result<Self> {
+        let missing = folder.ancestors().take_while(|place| !place.as_os_str().is_empty() && !place.exists());
+        let made = Self(missing.map(Path::to_owned).collect());
+        std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
+        Ok(made)
+    }
+}
+
+impl Drop for Made {
+    fn drop(&mut self) {
+        for folder in &self.0 {
+            // Whatever is not empty stays.
+            drop(std::fs::remove_dir(folder));
+        }
+    }
 }
 
 impl<'a> Saving<'a> {
     /// Makes the folder where it is not there, waits for other saves to end, and finishes what dead ones began.
-    pub fn begin(folder: &'a Path) -> Result<Self> {
-        std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
-        let alone = Lock::wait(folder, Share::Nobody)?;
+    ///
+    /// Until the files are about to take their places the save ends once `cancel` is cancelled, and leaves nothing.
+    pub fn begin(folder: &'a Path, cancel: &'a CancelToken) -> Result<Self> {
+        cancel.check()?;
+        let made = Made::make(folder)?;
+        let alone = Lock::wait(folder, Share::Nobody, cancel)?;
         recover(folder, alone.as_ref())?;
-        Ok(Self { folder, _alone: alone })
+        Ok(Self { folder, cancel, _made: made, _alone: alone })
     }
 
     /// Puts `files` (names and contents) into the folder and removes the files named by `remove`, all or nothing.
@@ -100,6 +131,7 @@ impl<'a> Saving<'a> {
     /// An error that says so leaves the new files, of which the next save or load puts those in place that are not yet; any other the old ones.
     pub fn replace(self, files: &[(String, Vec<u8>)], remove: BTreeSet<String>) -> Result<()> {
         let write = |name: &str, bytes: &[u8]| {
+            self.cancel.check()?;
             let path = self.folder.join(name);
             let mut file = temporary_in(self.folder).map_err(|e| Error::io(&path, e))?;
             let written = disk::write(&mut file, bytes).and_then(|()| disk::sync(file.as_file()));
@@ -114,6 +146,7 @@ impl<'a> Saving<'a> {
         let path = self.folder.join(RECORD);
         let text = serde_json::to_vec(&record).map_err(|e| Error::io(&path, e))?;
         let file = write(RECORD, &text)?;
+        self.cancel.check()?;
         let committed = disk::sync_folder(self.folder).and_then(|()| disk::rename(file.path(), &path));
         if let Err(error) = committed {
             // Some file systems rename and report an error all the same. The record goes before what it speaks of.
@@ -141,7 +174,7 @@ struct Record {
 impl Record {
     fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(RECORD);
-        let Some(bytes) = read_if_there(&path, MAX_RECORD_BYTES)? else { return Ok(None) };
+        let Some(bytes) = if_there(read_file(&path, MAX_RECORD_BYTES))? else { return Ok(None) };
         let invalid = |reason: String| Error::invalid(path.display().to_string(), reason);
         let record: Self = serde_json::from_slice(&bytes).map_err(|e| invalid(e.to_string()))?;
         if (record.format.as_str(), record.version) != (FORMAT, VERSION) {
@@ -223,14 +256,15 @@ pub(crate) fn is_plain(name: &str) -> bool {
 /// The files of a folder as one save left them.
 pub(crate) struct Files<'a> {
     folder: &'a Path,
+    cancel: &'a CancelToken,
     record: Option<Record>,
     /// The file that describes the others, if it is there. Every save writes it anew.
     pub description: Option<Vec<u8>>,
 }
 
 impl<'a> Files<'a> {
-    fn open(folder: &'a Path, description: &str, max: u64) -> Result<Self> {
-        let mut files = Self { folder, record: Record::read(folder)?, description: None };
+    fn open(folder: &'a Path, description: &str, max: u64, cancel: &'a CancelToken) -> Result<Self> {
+        let mut files = Self { folder, cancel, record: Record::read(folder)?, description: None };
         files.description = match files.read(description, max) {
             Err(Error::Io { source, .. }) if source.kind() == ErrorKind::NotFound => None,
             bytes => Some(bytes?),
@@ -242,11 +276,11 @@ impl<'a> Files<'a> {
     pub fn read(&self, file: &str, max: u64) -> Result<Vec<u8>> {
         let temporary = self.record.as_ref().and_then(|record| record.replace.get(file));
         if let Some(temporary) = temporary
-            && let Some(bytes) = read_if_there(&self.folder.join(temporary), max)?
+            && let Some(bytes) = if_there(read_file_unless(&self.folder.join(temporary), max, self.cancel))?
         {
             return Ok(bytes);
         }
-        read_file(&self.folder.join(file), max)
+        read_file_unless(&self.folder.join(file), max, self.cancel)
     }
 
     fn is_like(&self, other: &Self) -> bool {
@@ -256,11 +290,12 @@ impl<'a> Files<'a> {
 
 /// What `read` makes of the files of one save: where a save replaces them meanwhile, it begins again. `description` is read first, at most `max` bytes of it.
 ///
-/// What dead saves began is finished, where this process may write.
+/// What dead saves began is finished, where this process may write. The reading ends once `cancel` is cancelled.
 pub(crate) fn read_whole<T>(
     folder: &Path,
     description: &str,
     max: u64,
+    cancel: &CancelToken,
     read: impl Fn(&Files<'_>) -> Result<T>,
 ) -> Result<T> {
     if leftovers(folder).next().is_some()
@@ -270,20 +305,21 @@ pub(crate) fn read_whole<T>(
         tracing::debug!("{error}");
     }
     for _ in 1..READINGS {
-        let files = Files::open(folder, description, max)?;
+        let files = Files::open(folder, description, max, cancel)?;
         let result = read(&files);
-        let after = Files::open(folder, description, max)?;
+        cancel.check()?;
+        let after = Files::open(folder, description, max, cancel)?;
         // A file may have been renamed between two attempts to open it, while its record was there.
         if files.is_like(&after) && (result.is_ok() || files.record.is_none()) {
             return result;
         }
         std::thread::sleep(PAUSE);
     }
-    read(&Files::open(folder, description, max)?)
+    read(&Files::open(folder, description, max, cancel)?)
 }
 
-fn read_if_there(path: &Path, max: u64) -> Result<Option<Vec<u8>>> {
-    match read_file(path, max) {
+fn if_there(read: Result<Vec<u8>>) -> Result<Option<Vec<u8>>> {
+    match read {
         Err(Error::Io { source, .. }) if source.kind() == ErrorKind::NotFound => Ok(None),
         bytes => bytes.map(Some),
     }
@@ -311,10 +347,11 @@ struct Lock(File);
 
 impl Lock {
     /// The lock as soon as it is to be had; `None` where there are no locks on folders.
-    fn wait(folder: &Path, share: Share) -> Result<Option<Self>> {
+    fn wait(folder: &Path, share: Share, cancel: &CancelToken) -> Result<Option<Self>> {
         let Ok(file) = File::open(folder) else { return Ok(None) };
         let since = Instant::now();
         loop {
+            cancel.check()?;
             let locked = if share == Share::Nobody { file.try_lock() } else { file.try_lock_shared() };
             match locked {
                 Ok(()) => return Ok(Some(Self(file))),
@@ -436,7 +473,8 @@ mod tests {
 
     fn save(folder: &Path, files: &[(&str, &str)], remove: &[&str]) -> Result<()> {
         let files: Vec<_> = files.iter().map(|&(name, text)| (name.to_owned(), text.as_bytes().to_vec())).collect();
-        Saving::begin(folder)?.replace(&files, remove.iter().map(|&name| name.to_owned()).collect())
+        Saving::begin(folder, &CancelToken::new())?
+            .replace(&files, remove.iter().map(|&name| name.to_owned()).collect())
     }
 
     /// Names and contents of a folder.
@@ -465,7 +503,7 @@ mod tests {
                 .filter_map(|name| Some((name.to_owned(), String::from_utf8(files.read(name, 99).ok()?).unwrap())))
                 .collect())
         };
-        read_whole(folder, "about", 99, read).unwrap()
+        read_whole(folder, "about", 99, &CancelToken::new(), read).unwrap()
     }
 
     #[test]
@@ -502,6 +540,36 @@ mod tests {
             }
         }
         assert!(old > 10 && new > 10, "{old} {new}");
+    }
+
+    #[test]
+    fn a_cancelled_save_leaves_nothing_or_is_carried_out() {
+        let given: Vec<_> = NEW.iter().map(|&(name, text)| (name.to_owned(), text.as_bytes().to_vec())).collect();
+        let run = |folder: &Path, last: usize| {
+            let cancel = CancelToken::at_look(last);
+            let saved = Saving::begin(folder, &cancel).and_then(|saving| {
+                assert!(folder.exists());
+                saving.replace(&given, BTreeSet::from(["b".to_owned()]))
+            });
+            (saved, cancel.looks())
+        };
+        let dir = TempDir::new().unwrap();
+        let looks = run(&dir.path().join("count"), usize::MAX).1;
+        // At the beginning, for the lock, before each of three files and the record, and before the record takes its place.
+        assert_eq!(looks, 7);
+        for last in 1..=looks {
+            let (old, new) = (dir.path().join("old"), dir.path().join("new").join("er"));
+            save(&old, &OLD, &[]).unwrap();
+            for folder in [&old, &new] {
+                let (saved, _) = run(folder, last);
+                assert!(matches!(saved, Err(Error::Cancelled)), "look {last}: {saved:?}");
+            }
+            assert_eq!(content(&old), named(&OLD), "look {last}");
+            assert!(!new.parent().unwrap().exists(), "look {last}");
+        }
+        let (saved, _) = run(&dir.path().join("old"), looks + 1);
+        saved.unwrap();
+        assert_eq!(content(&dir.path().join("old")), named(&NEW));
     }
 
     #[test]
@@ -573,7 +641,7 @@ mod tests {
             fs::write(folder.join(RECORD), text).unwrap();
             let message = save(&folder, &NEW, &[]).unwrap_err().to_string();
             assert!(message.contains(RECORD) && message.contains("expected names"), "{message}");
-            assert!(read_whole(&folder, "about", 99, |_| Ok(())).is_err());
+            assert!(read_whole(&folder, "about", 99, &CancelToken::new(), |_| Ok(())).is_err());
             assert_eq!(fs::read_to_string(dir.path().join("out")).unwrap(), "mine");
         }
     }

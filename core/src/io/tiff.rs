@@ -18,6 +18,7 @@ use super::decode::{
     MAX_DECODED_BYTES, OwnedSamples, Stored, broken, check_size, decode_jpeg, plausible_bytes, unsupported,
 };
 use super::profile::FileColors;
+use crate::cancel::{CancelToken, Cancellable};
 use crate::color::Chromaticities;
 use crate::error::Result;
 use crate::memory;
@@ -271,7 +272,7 @@ fn directories<'a>(file: File<'a>, first: u64) -> Vec<Directory<'a>> {
     list
 }
 
-pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
+pub(super) fn decode(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
     let (file, first) = File::open(bytes).ok_or_else(|| broken(path, "TIFF without a directory: truncated"))?;
     let directories = directories(file, first);
     // Canon's raw files are told by their third word, their tags do not.
@@ -282,11 +283,11 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Stored> {
     let Some(page) = full.first().copied().or(directories.first()) else {
         return Err(broken(path, "TIFF whose first directory lies beyond its end: truncated"));
     };
-    let mut stored = Page::new(path, bytes, page)?.read()?;
+    let mut stored = Page::new(path, bytes, page, cancel)?.read()?;
     if full.len() > 1 {
         stored.notes.push(format!("the first of {} pages read", full.len()));
     }
-    stored.orient(page.orientation().unwrap_or(Orientation::NoTransforms))
+    stored.orient(page.orientation().unwrap_or(Orientation::NoTransforms), cancel)
 }
 
 /// How the samples of a page are stored.
@@ -311,6 +312,7 @@ enum Compression {
 /// One page whose layout is understood and whose size is one that is read.
 struct Page<'a> {
     path: &'a Path,
+    cancel: &'a CancelToken,
     file: File<'a>,
     width: usize,
     height: usize,
@@ -342,7 +344,7 @@ struct Page<'a> {
 }
 
 impl<'a> Page<'a> {
-    fn new(path: &'a Path, bytes: &'a [u8], page: &Directory<'a>) -> Result<Self> {
+    fn new(path: &'a Path, bytes: &'a [u8], page: &Directory<'a>, cancel: &'a CancelToken) -> Result<Self> {
         let required = |tag: u16, name: &str| {
             page.number(tag)
                 .ok_or_else(|| broken(path, format!("TIFF without {name} (tag {tag}): truncated or damaged")))
@@ -422,6 +424,7 @@ impl<'a> Page<'a> {
         }
         Ok(Self {
             path,
+            cancel,
             file: page.file,
             width: width as usize,
             height: height as usize,
@@ -495,6 +498,7 @@ impl<'a> Page<'a> {
 
     /// The samples of one chunk of `rows` rows, in this machine's byte order.
     fn chunk(&self, index: usize, rows: usize) -> Result<Vec<u8>> {
+        self.cancel.check()?;
         let (offset, length) = (self.offsets[index], self.lengths[index]);
         let file = self.file.bytes;
         let end = offset.checked_add(length).filter(|&end| end <= file.len() as u64);
@@ -510,10 +514,11 @@ impl<'a> Page<'a> {
         let wanted = rows * row_bytes;
         let mut data = match self.compression {
             Compression::None => packed[..wanted.min(packed.len())].to_vec(),
-            Compression::Lzw => unpack_lzw(&packed, wanted).map_err(|reason| broken(self.path, reason))?,
+            Compression::Lzw => self.unpack_lzw(&packed, wanted)?,
             Compression::Deflate => {
                 let mut data = Vec::new();
-                let mut reader = flate2::read::ZlibDecoder::new(&*packed).take(wanted as u64);
+                let mut reader =
+                    flate2::read::ZlibDecoder::new(Cancellable::new(&*packed, self.cancel)).take(wanted as u64);
                 reader.read_to_end(&mut data).map_err(|reason| broken(self.path, reason))?;
                 data
             }
@@ -549,6 +554,30 @@ impl<'a> Page<'a> {
         Ok(data)
     }
 
+    /// What the LZW stream `packed` holds, `wanted` bytes at most. What follows a full chunk does not matter, valid or not; the closing
+    /// code may be missing.
+    fn unpack_lzw(&self, packed: &[u8], wanted: usize) -> Result<Vec<u8>> {
+        const STEP: usize = 1 << 16;
+        let mut decoder = Configuration::with_tiff_size_switch(BitOrder::Msb, 8).build();
+        let (mut rest, mut out) = (packed, Vec::new());
+        while out.len() < wanted {
+            self.cancel.check()?;
+            let start = out.len();
+            out.resize(wanted.min(start + STEP), 0);
+            let step = decoder.decode_bytes(rest, &mut out[start..]);
+            out.truncate(start + step.consumed_out);
+            rest = &rest[step.consumed_in..];
+            if out.len() == wanted {
+                break;
+            }
+            match step.status.map_err(|reason| broken(self.path, reason))? {
+                LzwStatus::Ok if step.consumed_out + step.consumed_in > 0 => {}
+                _ => break,
+            }
+        }
+        Ok(out)
+    }
+
     /// A chunk that is a JPEG picture but for its tables.
     fn jpeg(&self, packed: &[u8], rows: usize) -> Result<Vec<u8>> {
         // A marker of Adobe's says what TIFF's own tag says: 0 for RGB as it is, 1 for YCbCr.
@@ -557,7 +586,7 @@ impl<'a> Page<'a> {
         let tables = self.jpeg_tables.strip_prefix(&[0xff, 0xd8]).unwrap_or(self.jpeg_tables);
         let tables = tables.strip_suffix(&[0xff, 0xd9]).unwrap_or(tables);
         let body = packed.strip_prefix(&[0xff, 0xd8]).unwrap_or(packed);
-        let decoded = decode_jpeg(self.path, &[&adobe, tables, body].concat())?;
+        let decoded = decode_jpeg(self.path, &[&adobe, tables, body].concat(), self.cancel)?;
         if let Some(note) = decoded.notes.first() {
             return Err(broken(self.path, note.clone()));
         }
@@ -649,29 +678,6 @@ fn extra_note(page: &Directory<'_>, extra: u64) -> Option<String> {
         1 if alpha => Some("alpha ignored".to_owned()),
         _ => Some(format!("{extra} of the samples of a pixel are no colour: ignored")),
     }
-}
-
-/// What the LZW stream `packed` holds, `wanted` bytes at most. What follows a full chunk does not matter, valid or not; the closing
-/// code may be missing.
-fn unpack_lzw(packed: &[u8], wanted: usize) -> std::result::Result<Vec<u8>, weezl::LzwError> {
-    const STEP: usize = 1 << 16;
-    let mut decoder = Configuration::with_tiff_size_switch(BitOrder::Msb, 8).build();
-    let (mut rest, mut out) = (packed, Vec::new());
-    while out.len() < wanted {
-        let start = out.len();
-        out.resize(wanted.min(start + STEP), 0);
-        let step = decoder.decode_bytes(rest, &mut out[start..]);
-        out.truncate(start + step.consumed_out);
-        rest = &rest[step.consumed_in..];
-        if out.len() == wanted {
-            break;
-        }
-        match step.status? {
-            LzwStatus::Ok if step.consumed_out + step.consumed_in > 0 => {}
-            _ => break,
-        }
-    }
-    Ok(out)
 }
 
 /// What the PackBits runs of `packed` hold, `wanted` bytes at most.

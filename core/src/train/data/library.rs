@@ -296,6 +296,7 @@ fn squared(image: &Image, side: Option<usize>) -> Result<Image> {
         let start = ((top + row) * width + left) * channels;
         values.copy_from_slice(&image.data()[start..start + square * channels]);
         mask.fill(0);
+        Ok(())
     })?;
     Image::new(out, out, channels, values)
 }
