@@ -3,6 +3,7 @@
 pub mod brdf;
 mod cancel;
 pub mod capture;
+mod cholesky;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod color;

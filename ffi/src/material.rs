@@ -45,6 +45,20 @@ impl svbrdf_gcn_material {
     }
 }
 
+/// What may be expected of fitted maps.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum svbrdf_gcn_verdict {
+    /// Not known: the material was not fitted.
+    SVBRDF_GCN_VERDICT_NONE = 0,
+    /// A new photo would hardly be told from its rendering, and nothing contradicts.
+    SVBRDF_GCN_VERDICT_GOOD = 1,
+    /// Right in the whole, with errors that can be seen.
+    SVBRDF_GCN_VERDICT_USABLE = 2,
+    /// Not what the photos show.
+    SVBRDF_GCN_VERDICT_POOR = 3,
+}
+
 /// The maps of a material.
 #[repr(i32)]
 pub enum svbrdf_gcn_map_kind {
@@ -182,6 +196,23 @@ pub unsafe extern "C" fn svbrdf_gcn_material_report_json(material: *const svbrdf
     guard_value(std::ptr::null(), || {
         // SAFETY: NULL or a living material, says the caller.
         Ok(unsafe { borrow("material", material) }?.report_json.as_ptr())
+    })
+}
+
+/// What may be expected of the maps, as the fit found; kept when a material is saved and loaded. The reasons and what to do stand in
+/// `svbrdf_gcn_material_report_json`. `SVBRDF_GCN_VERDICT_NONE` if there was no fit or `material` is NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn svbrdf_gcn_material_verdict(material: *const svbrdf_gcn_material) -> svbrdf_gcn_verdict {
+    guard_value(svbrdf_gcn_verdict::SVBRDF_GCN_VERDICT_NONE, || {
+        // SAFETY: NULL or a living material, says the caller.
+        let report = &unsafe { borrow("material", material) }?.report;
+        let verdict = report.as_ref().and_then(|report| report.get("verdict")?.as_str());
+        Ok(match verdict {
+            Some("good") => svbrdf_gcn_verdict::SVBRDF_GCN_VERDICT_GOOD,
+            Some("usable") => svbrdf_gcn_verdict::SVBRDF_GCN_VERDICT_USABLE,
+            Some("poor") => svbrdf_gcn_verdict::SVBRDF_GCN_VERDICT_POOR,
+            _ => svbrdf_gcn_verdict::SVBRDF_GCN_VERDICT_NONE,
+        })
     })
 }
 
@@ -403,6 +434,9 @@ mod tests {
                 CStr::from_ptr(svbrdf_gcn_material_report_json(materials[0])).to_str().unwrap().contains("network")
             );
             assert!(svbrdf_gcn_material_warning(materials[0], 0).is_null());
+            // Nothing was left out: no expectation, no good verdict.
+            assert_eq!(svbrdf_gcn_material_verdict(materials[0]), svbrdf_gcn_verdict::SVBRDF_GCN_VERDICT_USABLE);
+            assert_eq!(svbrdf_gcn_material_verdict(null()), svbrdf_gcn_verdict::SVBRDF_GCN_VERDICT_NONE);
 
             options.weights = path.as_ptr();
             let status = svbrdf_gcn_fit_material(null(), capture, &raw const options, &raw mut materials[1]);

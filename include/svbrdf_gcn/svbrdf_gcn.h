@@ -96,6 +96,39 @@ typedef int32_t svbrdf_gcn_status;
 #endif // __cplusplus
 
 /**
+ * What may be expected of fitted maps.
+ */
+enum svbrdf_gcn_verdict
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+  /**
+   * Not known: the material was not fitted.
+   */
+  SVBRDF_GCN_VERDICT_NONE = 0,
+  /**
+   * A new photo would hardly be told from its rendering, and nothing contradicts.
+   */
+  SVBRDF_GCN_VERDICT_GOOD = 1,
+  /**
+   * Right in the whole, with errors that can be seen.
+   */
+  SVBRDF_GCN_VERDICT_USABLE = 2,
+  /**
+   * Not what the photos show.
+   */
+  SVBRDF_GCN_VERDICT_POOR = 3,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum svbrdf_gcn_verdict svbrdf_gcn_verdict;
+#else
+typedef int32_t svbrdf_gcn_verdict;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+/**
  * How much time a fit may spend.
  */
 enum svbrdf_gcn_preset
@@ -914,6 +947,12 @@ const char *svbrdf_gcn_material_unit(const struct svbrdf_gcn_material *material)
  * material was loaded from files that have none. NULL if `material` is. Valid as long as the material.
  */
 const char *svbrdf_gcn_material_report_json(const struct svbrdf_gcn_material *material);
+
+/**
+ * What may be expected of the maps, as the fit found; kept when a material is saved and loaded. The reasons and what to do stand in
+ * `svbrdf_gcn_material_report_json`. `SVBRDF_GCN_VERDICT_NONE` if there was no fit or `material` is NULL.
+ */
+svbrdf_gcn_verdict svbrdf_gcn_material_verdict(const struct svbrdf_gcn_material *material);
 
 /**
  * What a user should know, of loaded maps those that have changed since they were saved, then of the fit: warning `index`, from 0, in UTF-8; NULL past the last. Valid as long as the material.

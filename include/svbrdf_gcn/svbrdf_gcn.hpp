@@ -126,6 +126,13 @@ enum class Format : std::int32_t {
     Tiff = SVBRDF_GCN_FORMAT_TIFF,
 };
 
+enum class Verdict : std::int32_t {
+    None = SVBRDF_GCN_VERDICT_NONE,
+    Good = SVBRDF_GCN_VERDICT_GOOD,
+    Usable = SVBRDF_GCN_VERDICT_USABLE,
+    Poor = SVBRDF_GCN_VERDICT_POOR,
+};
+
 enum class Map : std::int32_t {
     DiffuseAlbedo = SVBRDF_GCN_MAP_DIFFUSE_ALBEDO,
     SpecularAlbedo = SVBRDF_GCN_MAP_SPECULAR_ALBEDO,
@@ -481,6 +488,9 @@ public:
 
     /// What the fit did, as JSON; "null" if there was none.
     std::string report_json() const { return svbrdf_gcn_material_report_json(handle_.get()); }
+
+    /// What may be expected of the maps, as the fit found. Reasons and what to do stand in `report_json`.
+    Verdict verdict() const { return static_cast<Verdict>(svbrdf_gcn_material_verdict(handle_.get())); }
 
     /// What a user should know: of loaded maps those that have changed since they were saved; of the fit.
     std::vector<std::string> warnings() const {

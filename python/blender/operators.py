@@ -105,7 +105,7 @@ class Session:
         self.settings.running = True
         self.settings.progress = 0.0
         self.settings.status = "Reading photos"
-        self.settings.lost = ""
+        self.settings.remarks = ""
 
     def look(self):
         """Show where the job stands; whether it goes on."""
@@ -122,8 +122,9 @@ class Session:
             fitted = self.job.result()
             result = material.build(fitted, self.name)
             lost = material.losses(fitted)
-            self.settings.lost = "\n".join(lost)
-            self.settings.status = f"{result.name}: {fitted.width} x {fitted.height}"
+            reasons = [f"{reason['text']}; {reason['advice']}" for reason in fitted.report.get("reasons", [])]
+            self.settings.remarks = "\n".join(reasons + lost)
+            self.settings.status = f"{result.name}: {fitted.width} x {fitted.height}, {fitted.verdict}"
             active = context.view_layer.objects.active
             if active is not None and active.type == "MESH":
                 active.active_material = result

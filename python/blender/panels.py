@@ -35,7 +35,7 @@ def draw_fit(layout, context):
     layout.operator("svbrdf_gcn.fit_material", icon="MATERIAL")
     if settings.status:
         layout.label(text=settings.status, icon="CHECKMARK")
-    for line in settings.lost.splitlines():
+    for line in settings.remarks.splitlines():
         layout.label(text=line, icon="INFO")
 
 

@@ -104,7 +104,7 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
     running: BoolProperty(options={"SKIP_SAVE", "HIDDEN"})
     progress: FloatProperty(options={"SKIP_SAVE", "HIDDEN"}, subtype="FACTOR", min=0, max=1)
     status: StringProperty(options={"SKIP_SAVE", "HIDDEN"})
-    lost: StringProperty(options={"SKIP_SAVE", "HIDDEN"})
+    remarks: StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
 
 CLASSES = (SVBRDF_GCN_PG_photo, SVBRDF_GCN_PG_settings)

@@ -424,6 +424,13 @@ impl PyMaterial {
         Json::new(py, &self.report)
     }
 
+    /// What may be expected of the maps: "good", "usable" or "poor"; None if there was no fit. ``report["reasons"]`` says why it is not better and what
+    /// to do, ``report["expected_error"]`` by how much a new photo would be missed.
+    #[getter]
+    fn verdict(&self) -> Option<&str> {
+        self.report.get("verdict").and_then(Value::as_str)
+    }
+
     /// What a user should know: of loaded maps those that have changed since they were saved; of capture and fit.
     #[getter]
     fn warnings(&self) -> Vec<&str> {

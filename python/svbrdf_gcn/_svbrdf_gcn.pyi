@@ -497,6 +497,12 @@ class Material:
         Name of the unit of `patch_size`; None if it is not known.
         """
     @property
+    def verdict(self, /) -> str | None:
+        """
+        What may be expected of the maps: "good", "usable" or "poor"; None if there was no fit. ``report["reasons"]`` says why it is not better and what
+        to do, ``report["expected_error"]`` by how much a new photo would be missed.
+        """
+    @property
     def warnings(self, /) -> list[str]:
         """
         What a user should know: of loaded maps those that have changed since they were saved; of capture and fit.

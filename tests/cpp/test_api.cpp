@@ -105,6 +105,7 @@ int main(int argc, char **argv) try {
     CHECK(normal.at(normal.height - 1, normal.width - 1, 2) == *(normal.end() - 1));
     CHECK(material.patch_size() == 10.0 && material.unit() == "cm" && material.warnings().empty());
     CHECK(material.report_json().find("\"seed\":7") != std::string::npos);
+    CHECK(material.verdict() != svbrdf_gcn::Verdict::None);
     if (!quick) {
         CaptureOptions unseen = capture_options;
         unseen.views = {7, 8};

@@ -282,6 +282,27 @@ def test_maps_are_in_range_and_fit_the_photos(tiles, fitted):
     assert np.mean(errors) < 0.6 * np.mean([metrics.photo_rmse(mean, photo) for photo in tiles.photos])
 
 
+def test_a_verdict_goes_with_the_material(tiles, fitted, tmp_path):
+    report = fitted.report
+    assert fitted.verdict == report["verdict"] and fitted.verdict in ("good", "usable", "poor")
+    assert 0 < report["material_error"] <= report["expected_error"] and not report["estimated"]
+    fitted.save(tmp_path)
+    assert Material.load(tmp_path).verdict == fitted.verdict
+    assert Material.load(tmp_path).report["reasons"] == report["reasons"]
+    assert Material.load(TILES / "truth").verdict is None
+
+
+def test_a_photo_that_contradicts_is_left_out_and_named(tiles):
+    photos = list(tiles.photos)
+    photos[1] = np.zeros_like(photos[1])
+    known = {name: getattr(tiles, name) for name in ("camera_positions", "light_positions", "light_intensity", "patch_size")}
+    fitted = fit_material(Capture(photos, transfer="linear", **known), **QUICK)
+    assert fitted.report["photos_left_out"] == ["photos[1]"] and fitted.verdict != "good"
+    assert [reason["text"] for reason in fitted.report["reasons"] if reason["code"] == "photos_contradict"]
+    assert any(warning.startswith("photos[1]: contradicts") for warning in fitted.warnings)
+    assert len(fitted.report["photo_errors"]) == len(photos)
+
+
 def test_deviations_go_with_the_material(tiles, tmp_path):
     network = fit_material(tiles, method="network", direct_steps=2, finish_steps=2)
     names = [f"{name}_deviation" for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal")]

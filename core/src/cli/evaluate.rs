@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::{CaptureArgs, load_material, say, say_json};
 use crate::cancel::CancelToken;
 use crate::error::{Error, Result, printable};
-use crate::metrics::{MapErrors, photo_rmse};
+use crate::metrics::{MapErrors, photo_rmse, photo_rmse_smooth_gain};
 use crate::render::render_photo;
 
 #[derive(Args)]
@@ -31,6 +31,8 @@ struct Evaluation {
     photos: Vec<PhotoError>,
     /// Mean of these.
     rmse: f64,
+    /// Mean of the errors after a smooth gain: the material's part.
+    rmse_smooth_gain: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     maps: Option<MapErrors>,
 }
@@ -39,6 +41,8 @@ struct Evaluation {
 struct PhotoError {
     name: String,
     rmse: f64,
+    /// After a smooth gain: [`photo_rmse_smooth_gain`].
+    rmse_smooth_gain: f64,
 }
 
 pub fn run(args: &EvaluateArgs, cancel: &CancelToken) -> Result<()> {
@@ -62,11 +66,16 @@ pub fn run(args: &EvaluateArgs, cancel: &CancelToken) -> Result<()> {
         .enumerate()
         .map(|(index, photo)| {
             cancel.check()?;
-            let rmse = photo_rmse(&render_photo(&material, &capture, index)?, &photo.image)?;
-            Ok(PhotoError { name: photo.name.clone(), rmse })
+            let rendering = render_photo(&material, &capture, index)?;
+            Ok(PhotoError {
+                name: photo.name.clone(),
+                rmse: photo_rmse(&rendering, &photo.image)?,
+                rmse_smooth_gain: photo_rmse_smooth_gain(&rendering, &photo.image)?,
+            })
         })
         .collect::<Result<Vec<_>>>()?;
-    let rmse = photos.iter().map(|photo| photo.rmse).sum::<f64>() / photos.len() as f64;
+    let mean = |error: fn(&PhotoError) -> f64| photos.iter().map(error).sum::<f64>() / photos.len() as f64;
+    let (rmse, rmse_smooth_gain) = (mean(|photo| photo.rmse), mean(|photo| photo.rmse_smooth_gain));
     let maps = match &args.truth {
         Some(truth) => {
             let truth = load_material(truth, cancel)?;
@@ -74,14 +83,20 @@ pub fn run(args: &EvaluateArgs, cancel: &CancelToken) -> Result<()> {
         }
         None => None,
     };
-    let evaluation = Evaluation { photos, rmse, maps };
+    let evaluation = Evaluation { photos, rmse, rmse_smooth_gain, maps };
     if args.json { say_json(&evaluation) } else { say(&text(&evaluation)) }
 }
 
 fn text(evaluation: &Evaluation) -> String {
-    let mut lines: Vec<String> =
-        evaluation.photos.iter().map(|photo| format!("{:<24}{:.4}", printable(&photo.name), photo.rmse)).collect();
-    lines.push(format!("{:<24}{:.4}  RMSE, gamma 2.2", "mean", evaluation.rmse));
+    let line = |name: &str, rmse: f64, smooth: f64| format!("{name:<24}{rmse:<10.4}{smooth:.4}");
+    let mut lines = vec![format!("{:<24}{:<10}after a smooth gain", "RMSE, gamma 2.2", "as stated")];
+    lines.extend(
+        evaluation
+            .photos
+            .iter()
+            .map(|photo| line(&printable(&photo.name).to_string(), photo.rmse, photo.rmse_smooth_gain)),
+    );
+    lines.push(line("mean", evaluation.rmse, evaluation.rmse_smooth_gain));
     lines.extend(evaluation.maps.as_ref().map(ToString::to_string));
     lines.join("\n")
 }

@@ -17,6 +17,7 @@ use crate::error::{Error, Result, printable};
 use crate::fit::options::{FitOptions, Method, Preset};
 use crate::fit::progress::Progress;
 use crate::fit::report::FitReport;
+use crate::fit::verdict::Verdict;
 use crate::fit::{Fit, fit_material};
 use crate::io::material::{self, MaterialFormat, PREVIEW_PNG, SaveOptions, file_names};
 use crate::nn::Model;
@@ -194,10 +195,33 @@ fn summary(report: &FitReport, out: &Path) -> String {
             )
         })
         .collect();
-    let error = report.photo_errors.iter().sum::<f64>() / report.photo_errors.len() as f64;
-    lines.push(format!("photos used: RMSE {error:.4} (gamma 2.2) over {}", report.photo_errors.len()));
+    let used: Vec<f64> = std::iter::zip(&report.photos, &report.photo_errors)
+        .filter(|(photo, _)| !report.photos_left_out.contains(photo))
+        .map(|(_, error)| *error)
+        .collect();
+    let error = used.iter().sum::<f64>() / used.len() as f64;
+    lines.push(format!("photos used: RMSE {error:.4} (gamma 2.2) over {}", used.len()));
+    lines.extend(verdict(&report.verdict));
     lines.push(format!("{} in {:.1} s", printable(out.display()), report.seconds));
     lines.join("\n")
+}
+
+/// The verdict, and why it is not better.
+fn verdict(verdict: &Verdict) -> Vec<String> {
+    let mut line = format!("verdict: {}", verdict.grade.name());
+    if let (Some(error), Some(material)) = (verdict.expected_error, verdict.material_error) {
+        line += &match verdict.estimated {
+            true => format!(
+                ", a new photo is expected to be missed by some {error:.3}, estimated from the network's certainty"
+            ),
+            false => {
+                format!(", a new photo is expected to be missed by {error:.3}, by {material:.3} after a smooth gain")
+            }
+        };
+    }
+    let reasons =
+        verdict.reasons.iter().map(|reason| printable(format!("- {}; {}", reason.text, reason.advice)).to_string());
+    std::iter::once(line).chain(reasons).collect()
 }
 
 /// The progress bar: stage, steps, loss, time left.

@@ -18,14 +18,17 @@ use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::cluster::{Membership, soft_groups};
 use crate::fit::descent::{Descent, Settings, descend};
+use crate::fit::holdout::{REHEARSAL_SIDE, left_out, thinned, thinned_planes};
 use crate::fit::light;
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{CancelToken, Control, Progress, Stage};
 use crate::fit::report::StageReport;
 use crate::fit::search::{self, Found, Prior, search};
+use crate::fit::verdict::Expected;
 use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
-use crate::render::{Target, photo_loss};
+use crate::metrics::{photo_rmse, photo_rmse_smooth_gain};
+use crate::render::{Target, photo_loss, render_maps};
 
 /// Colour groups, and how many at most where they only correct a prediction.
 const GROUPS: usize = 32;
@@ -40,9 +43,8 @@ const PHOTO_DEVIATION: f64 = 0.2;
 const SLOPE_DEVIATION: f64 = 0.01;
 /// Standard deviation of the common tilt, as a slope: a few degrees.
 const TILT_DEVIATION: f64 = 0.1;
-/// Photos left out at most, one at a time, to choose between a flat surface and a given relief; pixels along the longer side, and steps, of those fits.
+/// Photos left out at most, one at a time, to choose between a flat surface and a given relief; and steps of those fits.
 const REHEARSALS: usize = 3;
-const REHEARSAL_SIZE: usize = 64;
 const REHEARSAL_STEPS: usize = 100;
 /// Share of the flat surface's error that the relief has to take away.
 const REHEARSAL_GAIN: f64 = 0.1;
@@ -87,7 +89,31 @@ pub(crate) struct Direct {
     pub gains: Vec<f64>,
 }
 
-/// Fits isotropic maps to all photos of `capture`.
+/// What [`fit_direct`] finds on some pixels where one photo is left out.
+pub(crate) struct HeldOut {
+    /// All photos on a regular grid of pixels, and which pixels of the capture these are.
+    pub thinned: Capture,
+    pub pixels: Vec<usize>,
+    /// The photo left out, and what was found; its gain is that with which the maps predict it best.
+    pub folds: Vec<(usize, Direct)>,
+}
+
+impl HeldOut {
+    /// Expected errors of a new photo, from how the photos left out are missed under their stated light; `None` if there are none.
+    pub fn expected(&self) -> Result<Option<Expected>> {
+        let mut errors = Vec::new();
+        for (without, direct) in &self.folds {
+            let photo = &self.thinned.photos()[*without];
+            let (width, height) = (self.thinned.width(), self.thinned.height());
+            let planes = render_maps(&direct.maps, self.thinned.patch_size(), &photo.shot)?;
+            let rendering = Image::from_planar(width, height, 3, &planes)?;
+            errors.push([photo_rmse(&rendering, &photo.image)?, photo_rmse_smooth_gain(&rendering, &photo.image)?]);
+        }
+        Ok(Expected::of(&errors))
+    }
+}
+
+/// Fits isotropic maps to all photos of `capture`. Gives the relief, too, where it was taken.
 ///
 /// `relief`: two planes of slopes that the surface may have beside leaning as a whole. Whether it has them or is flat is chosen by predicting
 /// photos that are left out.
@@ -100,36 +126,54 @@ pub(crate) fn fit_direct(
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
-) -> Result<Direct> {
+) -> Result<(Direct, Option<Vec<f32>>)> {
     let begun = Instant::now();
     let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
     control.report(Stage::Direct, 0, steps, None)?;
+    let relief = match relief.filter(|_| capture.len() > 2) {
+        Some(relief) if predicts_better(relief, capture, options.seed, control)? => Some(relief.to_vec()),
+        _ => None,
+    };
     let mut problem = Problem::new(capture, super::targets(capture)?, options.seed)?;
-    if let Some(relief) = relief.filter(|_| capture.len() > 2)
-        && predicts_better(relief, capture, options.seed, control)?
-    {
-        problem.relief = Some(relief.to_vec());
+    problem.relief.clone_from(&relief);
+    let (direct, descent) = problem.fit_in_rounds(capture, steps, options.seed, control)?;
+    tracing::debug!("light of the photos: {:.3?}", direct.gains);
+    stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
+    Ok((direct, relief))
+}
+
+/// [`fit_direct`] without one photo, for each of some photos, on a part of the pixels: maps that can be judged on that photo. `relief` as it was chosen
+/// for all photos.
+///
+/// # Errors
+/// As [`fit_direct`].
+pub(crate) fn fit_without(
+    capture: &Capture,
+    relief: Option<&[f32]>,
+    most: usize,
+    options: &FitOptions,
+    control: &mut Control<'_>,
+) -> Result<HeldOut> {
+    let steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
+    let (thin, pixels) = thinned(capture, REHEARSAL_SIDE)?;
+    let relief = relief.map(|relief| thinned_planes(relief, 2, &pixels));
+    let mut folds = Vec::new();
+    // A single photo cannot be left out.
+    let count = if capture.len() > 1 { capture.len() } else { 0 };
+    for without in left_out(count, most) {
+        control.poll()?;
+        let rest: Vec<usize> = (0..capture.len()).filter(|&photo| photo != without).collect();
+        let rest = thin.select(&rest)?;
+        let mut problem = Problem::new(&rest, super::targets(&rest)?, options.seed)?;
+        problem.relief.clone_from(&relief);
+        let mut silent = |_: &Progress| ControlFlow::Continue(());
+        let silent = &mut Control::new(&mut silent, options.cancel.clone());
+        let (mut direct, _) = problem.fit_in_rounds(&rest, steps, options.seed, silent)?;
+        let gain = light::gain_alone(&thin, without, &direct.maps)?;
+        direct.gains.insert(without, gain);
+        folds.push((without, direct));
     }
-    let rounds = (steps / ROUND_STEPS).clamp(1, ROUNDS);
-    let begins = |round: usize| round * steps / rounds;
-    let mut gains = vec![1.0; capture.len()];
-    let (mut maps, mut whole) = problem.fit(begins(1), [0, steps - begins(1)], control)?;
-    for round in 1..rounds {
-        gains = light::gains(capture, &maps)?;
-        for (target, shot) in problem.targets.iter_mut().zip(light::shots(capture, &gains)) {
-            target.set_shot(shot);
-        }
-        problem.regroup(&maps, options.seed);
-        let (begin, end) = (begins(round), begins(round + 1));
-        let (next, descent) = problem.fit(end - begin, [begin, steps - end], control)?;
-        maps = next;
-        whole.steps += descent.steps;
-        whole.best_loss = descent.best_loss;
-        whole.rollbacks += descent.rollbacks;
-    }
-    tracing::debug!("light of the photos: {gains:.3?}");
-    stages.push(StageReport::new(Stage::Direct, &whole, begun.elapsed().as_secs_f64()));
-    Ok(Direct { maps, gains })
+    Ok(HeldOut { thinned: thin, pixels, folds })
 }
 
 /// Corrects maps that were predicted where pixels of one colour are wrong together: specular albedo and roughness of a colour group and the common
@@ -158,18 +202,16 @@ pub(crate) fn correct(
 
 /// Whether photos that are left out are predicted better with `relief` than from a flat surface, on a part of the pixels.
 fn predicts_better(relief: &[f32], capture: &Capture, seed: u64, control: &mut Control<'_>) -> Result<bool> {
-    let (capture, pick) = thinned(capture)?;
-    let pixels = relief.len() / 2;
+    let (capture, pick) = thinned(capture, REHEARSAL_SIDE)?;
     let all: Vec<Target> = super::targets(&capture)?;
-    let (count, folds) = (all.len(), all.len().min(REHEARSALS));
-    let left_out: Vec<usize> = (0..folds).map(|fold| fold * count / folds).collect();
+    let left_out = left_out(all.len(), REHEARSALS);
     let rests: Vec<Vec<Target>> =
-        left_out.iter().map(|&without| [&all[..without], &all[without + 1..]].concat()).collect();
+        left_out.clone().map(|without| [&all[..without], &all[without + 1..]].concat()).collect();
     let mut problem = Problem::new(&capture, all.clone(), seed)?;
     let mut error = |relief: Option<Vec<f32>>| -> Result<f64> {
         problem.relief = relief;
         let mut error = 0.0;
-        for (rest, &without) in rests.iter().zip(&left_out) {
+        for (rest, without) in rests.iter().zip(left_out.clone()) {
             control.poll()?;
             problem.targets.clone_from(rest);
             let mut silent = |_: &Progress| ControlFlow::Continue(());
@@ -179,30 +221,9 @@ fn predicts_better(relief: &[f32], capture: &Capture, seed: u64, control: &mut C
         Ok(error)
     };
     let flat = error(None)?;
-    let bumpy = error(Some((0..2).flat_map(|c| pick.iter().map(move |&p| relief[c * pixels + p])).collect()))?;
+    let bumpy = error(Some(thinned_planes(relief, 2, &pick)))?;
     tracing::debug!("photos left out, flat and with the network's relief: {flat:.3}, {bumpy:.3}");
     Ok(bumpy < (1.0 - REHEARSAL_GAIN) * flat)
-}
-
-/// Every so many pixels of `capture`, and which they are.
-fn thinned(capture: &Capture) -> Result<(Capture, Vec<usize>)> {
-    let (width, height) = (capture.width(), capture.height());
-    let pitch = (width.max(height) as f64 / REHEARSAL_SIZE as f64).max(1.0);
-    let size = |len: usize| ((len as f64 / pitch).round() as usize).max(1);
-    let (across, down) = (size(width), size(height));
-    let ticks = |len: usize, count: usize| (0..count).map(move |i| (2 * i + 1) * len / (2 * count));
-    let pick: Vec<usize> = ticks(height, down).flat_map(|y| ticks(width, across).map(move |x| y * width + x)).collect();
-    let part = |photo: &Photo| -> Result<Photo> {
-        let data = pick.iter().flat_map(|&p| photo.image.data()[3 * p..3 * p + 3].iter().copied()).collect();
-        Ok(Photo {
-            name: photo.name.clone(),
-            shot: photo.shot,
-            image: Image::new(across, down, 3, data)?,
-            saturated: pick.iter().map(|&p| photo.saturated[p]).collect(),
-        })
-    };
-    let photos = capture.photos().iter().map(part).collect::<Result<_>>()?;
-    Ok((Capture::new(photos, capture.patch_size(), capture.transfer())?, pick))
 }
 
 /// Where each kind of parameter lies in the flat vector that Adam moves.
@@ -342,6 +363,34 @@ impl Problem {
         self.diffuse = logits(diffuse_planes(maps)).collect();
         self.memberships = memberships;
         self.layout.groups = groups;
+    }
+
+    /// Fits in rounds: after each, pixels are grouped anew and the light of the photos of `capture` is estimated.
+    fn fit_in_rounds(
+        &mut self,
+        capture: &Capture,
+        steps: usize,
+        seed: u64,
+        control: &mut Control<'_>,
+    ) -> Result<(Direct, Descent)> {
+        let rounds = (steps / ROUND_STEPS).clamp(1, ROUNDS);
+        let begins = |round: usize| round * steps / rounds;
+        let mut gains = vec![1.0; capture.len()];
+        let (mut maps, mut whole) = self.fit(begins(1), [0, steps - begins(1)], control)?;
+        for round in 1..rounds {
+            gains = light::gains(capture, &maps)?;
+            for (target, shot) in self.targets.iter_mut().zip(light::shots(capture, &gains)) {
+                target.set_shot(shot);
+            }
+            self.regroup(&maps, seed);
+            let (begin, end) = (begins(round), begins(round + 1));
+            let (next, descent) = self.fit(end - begin, [begin, steps - end], control)?;
+            maps = next;
+            whole.steps += descent.steps;
+            whole.best_loss = descent.best_loss;
+            whole.rollbacks += descent.rollbacks;
+        }
+        Ok((Direct { maps, gains }, whole))
     }
 
     /// The maps after `steps` steps; `around` as in [`Settings`].

@@ -26,13 +26,31 @@ pub(super) fn gains(capture: &Capture, maps: &Maps<f32>) -> Result<Vec<f64>> {
     if count < PHOTOS_MIN {
         return Ok(vec![1.0; count]);
     }
-    let logs = capture
-        .photos()
-        .iter()
-        .map(|photo| Ok(2.2 * code_ratio(photo, &render_maps(maps, capture.patch_size(), &photo.shot)?).ln()))
-        .collect::<Result<Vec<f64>>>()?;
+    let logs = (0..count).map(|photo| log_gain(capture, photo, maps)).collect::<Result<Vec<f64>>>()?;
     let mean = logs.iter().sum::<f64>() / count as f64;
-    Ok(logs.iter().map(|log| (BELIEVED * (log - mean)).clamp(-LIMIT, LIMIT).exp()).collect())
+    Ok(logs.iter().map(|log| believed(log - mean)).collect())
+}
+
+/// Likewise for one photo that `maps` have not seen; theirs are near 1.
+pub(super) fn gain_alone(capture: &Capture, photo: usize, maps: &Maps<f32>) -> Result<f64> {
+    if capture.len() <= PHOTOS_MIN {
+        return Ok(1.0);
+    }
+    Ok(believed(log_gain(capture, photo, maps)?))
+}
+
+/// Whether a gain is the largest or the least that is granted.
+pub(super) fn at_limit(gain: f64) -> bool {
+    gain.ln().abs() > 0.99 * LIMIT
+}
+
+fn believed(log: f64) -> f64 {
+    (BELIEVED * log).clamp(-LIMIT, LIMIT).exp()
+}
+
+fn log_gain(capture: &Capture, photo: usize, maps: &Maps<f32>) -> Result<f64> {
+    let photo = &capture.photos()[photo];
+    Ok(2.2 * code_ratio(photo, &render_maps(maps, capture.patch_size(), &photo.shot)?).ln())
 }
 
 /// The shots of `capture` under these gains.

@@ -3,16 +3,18 @@
 
 use std::time::Instant;
 
-use crate::capture::Capture;
+use crate::capture::{Capture, Shot};
 use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::deviations::Deviations;
-use crate::fit::direct::{correct, fit_direct};
-use crate::fit::finish::{Belief, Finished, Start, finish};
+use crate::fit::direct::{Direct, HeldOut, correct, fit_direct, fit_without};
+use crate::fit::finish::{Belief, Finished, Fold, LEFT_OUT, Rehearsal, Start, finish};
+use crate::fit::holdout::{REHEARSAL_SIDE, grid, left_out, thinned_planes};
 use crate::fit::light;
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
+use crate::fit::verdict::Expected;
 use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::metrics::photo_rmse;
@@ -32,6 +34,8 @@ pub(crate) struct Predicted {
     pub gains: Option<Vec<f64>>,
     pub deviations: Option<Deviations>,
     pub belief: Option<Belief>,
+    /// Expected errors of a new photo, where some were left out or the finish says how sure it is.
+    pub expected: Option<Expected>,
 }
 
 /// Predicts isotropic maps from all photos of `capture` and finishes them.
@@ -61,30 +65,64 @@ pub(crate) fn fit_predicted(
     });
     control.report(Stage::Encode, 1, 1, Some(loss))?;
     let mut gains = None;
-    if options.direct_steps.unwrap_or(options.preset.direct_steps()) == 0 {
+    let mut taken = None;
+    let direct_steps = options.direct_steps.unwrap_or(options.preset.direct_steps());
+    if direct_steps == 0 {
         // The prediction is what the finish starts from.
     } else if capture.len() == 1 {
         maps = correct(capture, &maps, relief(&maps), options, stages, control)?;
     } else {
-        let direct = fit_direct(capture, Some(&relief(&maps)), options, stages, control)?;
+        let (direct, relief) = fit_direct(capture, Some(&relief(&maps)), options, stages, control)?;
         maps = direct.maps;
+        taken = relief;
         gains = Some(direct.gains);
     }
     let steps = options.finish_steps.unwrap_or(options.preset.finish_steps());
     if steps == 0 {
-        return Ok(Predicted { maps, gains, deviations: None, belief: None });
+        return Ok(Predicted { maps, gains, deviations: None, belief: None, expected: None });
     }
     let pixels = capture.width() * capture.height();
     let planes = prediction.log_sigma.chunks_exact_mut(pixels);
     planes.zip(UNITS).for_each(|(plane, unit)| plane.iter_mut().for_each(|value| *value = value.exp() * unit));
     let floor = graph.config().roughness_floor;
+    let rehearsal = if capture.len() == 1 {
+        Rehearsal::default()
+    } else if direct_steps == 0 {
+        of_prediction(capture, &prediction.raw)
+    } else {
+        of_direct(capture, fit_without(capture, taken.as_deref(), LEFT_OUT, options, control)?, floor)
+    };
     let mut shared = prediction.raw.clone();
     encode(&maps, floor, &mut shared);
-    let start = Start { raw: &shared, network: &prediction.raw, deviation: &prediction.log_sigma };
+    let start =
+        Start { raw: &shared, network: &prediction.raw, deviation: &prediction.log_sigma, rehearsal: &rehearsal };
     let shots = light::shots(capture, gains.as_deref().unwrap_or(&vec![1.0; capture.len()]));
-    let Finished { raw, deviation, belief } = finish(capture, &shots, start, f64::from(floor), steps, stages, control)?;
+    let Finished { raw, deviation, belief, expected } =
+        finish(capture, &shots, start, f64::from(floor), steps, stages, control)?;
     graph.decoding()?.decode(&raw, &mut maps)?;
-    Ok(Predicted { deviations: Some(deviations(&maps, &deviation)?), maps, gains, belief: Some(belief) })
+    let deviations = Some(deviations(&maps, &deviation)?);
+    Ok(Predicted { maps, gains, deviations, belief: Some(belief), expected: Some(expected) })
+}
+
+/// The maps that `direct` finds where a photo is left out.
+fn of_direct(capture: &Capture, held_out: HeldOut, floor: f32) -> Rehearsal {
+    let HeldOut { thinned, pixels, folds } = held_out;
+    let fold = |(without, direct): (usize, Direct)| {
+        let mut raw = vec![0.0; 9 * pixels.len()];
+        encode(&direct.maps, floor, &mut raw);
+        Fold { without, raw, shots: light::shots(capture, &direct.gains) }
+    };
+    let folds = folds.into_iter().map(fold).collect();
+    Rehearsal { size: [thinned.width(), thinned.height()], pixels, folds }
+}
+
+/// The prediction, which hardly changes where a photo is left out.
+fn of_prediction(capture: &Capture, prediction: &[f32]) -> Rehearsal {
+    let (size, pixels) = grid(capture.width(), capture.height(), REHEARSAL_SIDE);
+    let raw = thinned_planes(prediction, 9, &pixels);
+    let shots: Vec<Shot> = capture.photos().iter().map(|photo| photo.shot).collect();
+    let fold = |without| Fold { without, raw: raw.clone(), shots: shots.clone() };
+    Rehearsal { size, folds: left_out(capture.len(), LEFT_OUT).map(fold).collect(), pixels }
 }
 
 /// The slopes of the normals of `maps`, two planes without their means: how the sample leans is found elsewhere.

@@ -6,6 +6,7 @@ use crate::color::Transfer;
 use crate::fit::descent::Descent;
 use crate::fit::options::{Method, Preset};
 use crate::fit::progress::Stage;
+use crate::fit::verdict::Verdict;
 
 /// What one stage did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -53,15 +54,17 @@ pub struct FitReport {
     pub seed: u64,
     /// Threads used.
     pub threads: usize,
-    /// Names of the photos used.
+    /// Names of the photos of the capture.
     pub photos: Vec<String>,
+    /// Of these, the ones that contradict the others: the maps were fitted without them.
+    pub photos_left_out: Vec<String>,
     /// The transfer function the photos were decoded with.
     pub transfer: Transfer,
     /// The stages that ran, in order.
     pub stages: Vec<StageReport>,
     /// Error of each photo re-rendered under the stated light: RMSE of gamma 2.2 encoded values, clamped to [0, 1].
     pub photo_errors: Vec<f64>,
-    /// Factor on the stated light intensity of each photo with which the maps were fitted; `None` where the stated ones were taken.
+    /// Factor on the stated light intensity of each photo with which the maps were fitted; `None` where the stated ones were taken, 1 for photos left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub light_gains: Option<Vec<f64>>,
     /// Standard deviation of what the maps cannot explain in the photos (gamma 2.2 codes), as the finish chose it; `None` without finish.
@@ -70,6 +73,9 @@ pub struct FitReport {
     /// Shares of the network's deviation that the finish believed: in normals; in specular albedo and roughness.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub believed_shares: Option<[f64; 2]>,
+    /// What may be expected of the maps: `verdict`, `expected_error`, `material_error`, `estimated` and `reasons` in files.
+    #[serde(flatten)]
+    pub verdict: Verdict,
     /// Wall-clock seconds of the whole fit.
     pub seconds: f64,
     /// What the user should know, the capture's own warnings first.

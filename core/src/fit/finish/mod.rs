@@ -1,24 +1,25 @@
 //! The finish: with maps and the network's certainty as a Gaussian prior, every pixel is fitted to the photos.
 //!
 //! Per pixel nine raw values are found by Levenberg-Marquardt with the exact Jacobian ([`shading`](super::shading)). How much the photos count against
-//! the prior is chosen by leaving photos out and predicting them.
+//! the prior is chosen by leaving photos out and predicting them, from maps that have not seen them.
 //!
 //! Not from the paper.
 #![allow(clippy::needless_range_loop, reason = "indices of raw values are those of vectors and matrices alike")]
-
-mod solve;
 
 use std::time::Instant;
 
 use rayon::prelude::*;
 
 use crate::capture::{Capture, Photo, Shot};
+use crate::cholesky::Cholesky;
 use crate::error::{Error, Result};
+use crate::fit::holdout::grid;
 use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
 use crate::fit::shading::{FLAT_LIMIT, NORMAL, RAW, ROUGHNESS, SPECULAR, Sight, Surface};
+use crate::fit::verdict::Expected;
+use crate::metrics::code_rmse_smooth_gain;
 use crate::render::encode_radiance;
-use solve::Cholesky;
 
 /// Candidates for the standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
 const PHOTO_DEVIATIONS: [f64; 6] = [0.2, 0.1, 0.05, 0.025, 0.0125, 0.006];
@@ -26,12 +27,15 @@ const PHOTO_DEVIATIONS: [f64; 6] = [0.2, 0.1, 0.05, 0.025, 0.0125, 0.006];
 const SHARES: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
 /// Candidates for how far the prior's mean is the network's maps instead of those so far, and of these its normals alone.
 const NETWORK: [f64; 3] = [0.0, 0.5, 1.0];
-/// Pixels on which these are chosen.
-const CHOICE_PIXELS: usize = 1024;
+/// Pixels along the longer side on which these are chosen.
+const CHOICE_SIDE: usize = 32;
 /// Photos left out at most, one at a time.
-const LEFT_OUT: usize = 4;
+pub(super) const LEFT_OUT: usize = 4;
 /// Residuals beyond so many deviations count less and less (Cauchy).
 const OUTLIER: f64 = 3.0;
+/// A single photo's maps are looked at from this many places around, so far from the normal, in radians.
+const NEW_PLACES: usize = 4;
+const NEW_ANGLE: f64 = 0.35;
 /// Smallest deviation of the network that is believed, raw.
 const PRIOR_MIN: f64 = 0.02;
 
@@ -44,6 +48,30 @@ pub(crate) struct Start<'a> {
     pub network: &'a [f32],
     /// The network's standard deviations.
     pub deviation: &'a [f32],
+    /// What decides how much of this is believed; without folds it is what suits a single photo.
+    pub rehearsal: &'a Rehearsal,
+}
+
+/// On some pixels, the maps so far as they are where one photo is left out: they decide what is believed how much.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rehearsal {
+    /// Columns and rows of the grid of `pixels`.
+    pub size: [usize; 2],
+    /// Which pixels of the capture.
+    pub pixels: Vec<usize>,
+    /// One for each photo left out.
+    pub folds: Vec<Fold>,
+}
+
+/// Maps that have not seen one photo.
+#[derive(Clone, Debug)]
+pub(crate) struct Fold {
+    /// The photo.
+    pub without: usize,
+    /// Nine planes of raw values of the pixels.
+    pub raw: Vec<f32>,
+    /// How all photos are taken to be lit.
+    pub shots: Vec<Shot>,
 }
 
 /// What a finish gives.
@@ -55,6 +83,8 @@ pub(crate) struct Finished {
     pub deviation: Vec<f32>,
     /// What the photos were found to say about photos and prior.
     pub belief: Belief,
+    /// Expected errors of a new photo.
+    pub expected: Expected,
 }
 
 /// What the photos were found to say about photos and prior.
@@ -107,6 +137,16 @@ struct Prior {
     weight: [f64; RAW],
 }
 
+/// A pixel in all photos but one.
+#[derive(Clone, Copy)]
+struct Seen<'a> {
+    pixel: usize,
+    /// One for each photo.
+    sights: &'a [Sight],
+    /// A photo that does not count.
+    without: Option<usize>,
+}
+
 /// One channel of a pixel in one photo, compared with a rendering.
 struct Compared {
     channel: usize,
@@ -127,14 +167,11 @@ struct Trust {
     /// How far what is expected is what the network has, in normals, and elsewhere.
     network_normal: f64,
     network: f64,
-    /// A photo that does not count.
-    without: Option<usize>,
 }
 
 impl Trust {
     /// Where the search begins, and what a single photo gets.
-    const START: Self =
-        Self { photo: 0.025, normal: 0.3, specular: 0.3, network_normal: 0.0, network: 0.0, without: None };
+    const START: Self = Self { photo: 0.025, normal: 0.3, specular: 0.3, network_normal: 0.0, network: 0.0 };
     /// Where the search begins a second time: one value after the other, it does not find the way here from the first.
     const OF_PHOTOS: Self = Self { photo: 0.006, normal: 1.0, specular: 1.0, ..Self::START };
 }
@@ -153,13 +190,13 @@ impl<'a> Problem<'a> {
         }
     }
 
-    fn prior(&self, pixel: usize, trust: Trust) -> Prior {
+    /// The prior of a pixel whose raw values so far are `so_far`.
+    fn prior(&self, so_far: &[f64; RAW], pixel: usize, trust: Trust) -> Prior {
         let n = self.pixels();
         let mut prior = Prior { mean: [0.0; RAW], weight: [0.0; RAW] };
         for i in 0..RAW {
             let network = if (NORMAL..ROUGHNESS).contains(&i) { trust.network_normal } else { trust.network };
-            let mean = |maps: &[f32]| f64::from(maps[i * n + pixel]);
-            prior.mean[i] = (1.0 - network) * mean(self.start.raw) + network * mean(self.start.network);
+            prior.mean[i] = (1.0 - network) * so_far[i] + network * f64::from(self.start.network[i * n + pixel]);
             let share = match i {
                 ..NORMAL => 1.0,
                 NORMAL..ROUGHNESS => trust.normal,
@@ -185,18 +222,17 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// The pixel in every photo.
-    fn sights(&self, pixel: usize) -> Vec<Sight> {
+    /// The pixel in every photo, under the light of `shots`.
+    fn sights<'s>(&self, pixel: usize, shots: impl Iterator<Item = &'s Shot>) -> Vec<Sight> {
         let width = self.capture.width();
         let [x, y] = self.capture.position(pixel / width, pixel % width);
-        self.views.iter().map(|view| Sight::new(&view.shot, x, y)).collect()
+        shots.map(|shot| Sight::new(shot, x, y)).collect()
     }
 
-    /// Calls `each` for everything that `raw` is compared with; returns the photos' part of the cost.
+    /// Calls `each` for everything that `raw` is compared with, the photo `without` apart; returns the photos' part of the cost.
     fn compare(
         &self,
-        pixel: usize,
-        sights: &[Sight],
+        Seen { pixel, sights, without }: Seen<'_>,
         raw: &[f64; RAW],
         trust: Trust,
         mut each: impl FnMut(&Compared),
@@ -205,7 +241,7 @@ impl<'a> Problem<'a> {
         let scale = (OUTLIER * trust.photo).powi(2);
         let mut cost = 0.0;
         for (index, (view, sight)) in self.views.iter().zip(sights).enumerate() {
-            if trust.without == Some(index) {
+            if without == Some(index) {
                 continue;
             }
             let seen = sight.look(&surface);
@@ -223,16 +259,16 @@ impl<'a> Problem<'a> {
         cost
     }
 
-    fn system(&self, pixel: usize, sights: &[Sight], raw: &[f64; RAW], prior: &Prior, trust: Trust) -> System {
+    fn system(&self, seen: Seen<'_>, raw: &[f64; RAW], prior: &Prior, trust: Trust) -> System {
         let mut system = System { cost: 0.0, gradient: [0.0; RAW], matrix: [[0.0; RAW]; RAW] };
         let System { gradient, matrix, .. } = &mut system;
-        let cost = self.compare(pixel, sights, raw, trust, |seen| {
-            let places = places(seen.channel);
+        let cost = self.compare(seen, raw, trust, |compared| {
+            let places = places(compared.channel);
             for (a, &i) in places.iter().enumerate() {
-                let slope = seen.weight * seen.slopes[a];
-                gradient[i] += slope * seen.residual;
+                let slope = compared.weight * compared.slopes[a];
+                gradient[i] += slope * compared.residual;
                 for (b, &j) in places[..=a].iter().enumerate() {
-                    matrix[i][j] += slope * seen.slopes[b];
+                    matrix[i][j] += slope * compared.slopes[b];
                 }
             }
         });
@@ -247,16 +283,8 @@ impl<'a> Problem<'a> {
     }
 
     /// Moves `raw` by up to `steps` Levenberg-Marquardt steps; returns the cost where it begins and the system where it ends.
-    fn fit(
-        &self,
-        pixel: usize,
-        sights: &[Sight],
-        raw: &mut [f64; RAW],
-        prior: &Prior,
-        trust: Trust,
-        steps: usize,
-    ) -> (f64, System) {
-        let mut system = self.system(pixel, sights, raw, prior, trust);
+    fn fit(&self, seen: Seen<'_>, raw: &mut [f64; RAW], prior: &Prior, trust: Trust, steps: usize) -> (f64, System) {
+        let mut system = self.system(seen, raw, prior, trust);
         let first = system.cost;
         let mut damping = 1e-2;
         for _ in 0..steps {
@@ -276,7 +304,7 @@ impl<'a> Problem<'a> {
             let mut moved = *raw;
             moved.iter_mut().zip(step).for_each(|(value, step)| *value -= step);
             self.limit(&mut moved);
-            let next = self.system(pixel, sights, &moved, prior, trust);
+            let next = self.system(seen, &moved, prior, trust);
             if next.cost < system.cost {
                 let gain = system.cost - next.cost;
                 *raw = moved;
@@ -301,15 +329,18 @@ impl<'a> Problem<'a> {
         let empty = || Vec::with_capacity(width);
         let mut out = Row { raw: empty(), deviation: empty(), first_cost: 0.0, last_cost: 0.0 };
         for pixel in row * width..(row + 1) * width {
-            let (sights, prior) = (self.sights(pixel), self.prior(pixel, trust));
+            let so_far = so_far(self.start.raw, self.pixels(), pixel);
+            let prior = self.prior(&so_far, pixel, trust);
+            let sights = self.sights(pixel, self.views.iter().map(|view| &view.shot));
             let mut raw = prior.mean;
-            let (first, last) = self.fit(pixel, &sights, &mut raw, &prior, trust, steps);
+            let seen = Seen { pixel, sights: &sights, without: None };
+            let (first, last) = self.fit(seen, &mut raw, &prior, trust, steps);
             out.first_cost += first;
             out.last_cost += last.cost;
             out.raw.push(raw.map(|value| value as f32));
             // Around its minimum the cost is that of a Gaussian with this inverse covariance, but for the prior: shares of the network's deviation hold a
             // pixel near the maps so far, which are no surer for that.
-            let sure = self.prior(pixel, Trust { normal: 1.0, specular: 1.0, ..trust }).weight;
+            let sure = self.prior(&so_far, pixel, Trust { normal: 1.0, specular: 1.0, ..trust }).weight;
             let mut matrix = last.matrix;
             for i in 0..RAW {
                 matrix[i][i] += sure[i] - prior.weight[i];
@@ -320,45 +351,27 @@ impl<'a> Problem<'a> {
         out
     }
 
-    /// Pixels on a regular grid, about `count`, each in every photo.
-    fn sample(&self, count: usize) -> Vec<(usize, Vec<Sight>)> {
-        let (width, height) = (self.capture.width(), self.capture.height());
-        let pitch = (self.pixels() as f64 / count as f64).sqrt().max(1.0);
-        let ticks = |len: usize| {
-            let number = ((len as f64 / pitch).round() as usize).clamp(1, len);
-            (0..number).map(move |i| (2 * i + 1) * len / (2 * number))
-        };
-        let pixels = ticks(height).flat_map(|row| ticks(width).map(move |column| row * width + column));
-        pixels.map(|pixel| (pixel, self.sights(pixel))).collect()
-    }
-
     /// The trust with which photos that are left out are predicted best, found one value after the other.
-    fn choose(&self, control: &mut Control<'_>) -> Result<Trust> {
-        if self.views.len() < 2 {
+    fn choose(&self, rehearsal: &Rehearsal, control: &mut Control<'_>) -> Result<Trust> {
+        if rehearsal.folds.is_empty() {
             return Ok(Trust::START);
         }
-        let sample = self.sample(CHOICE_PIXELS);
         let mut best = (f64::INFINITY, Trust::START);
-        // The maps so far have seen all photos, which speaks for them: the network has to be better in spite of that.
         for network in NETWORK {
             for start in [Trust::START, Trust::OF_PHOTOS] {
-                let found = self.search(Trust { network, network_normal: network, ..start }, &sample, control)?;
+                let found = self.search(Trust { network, network_normal: network, ..start }, rehearsal, control)?;
                 if found.0 < best.0 {
                     best = found;
                 }
             }
         }
+        tracing::debug!("error of photos left out: {:.4}", best.0.sqrt());
         Ok(best.1)
     }
 
     /// From `best` on, the trust with the least error of photos that are left out, one value after the other; and that error.
-    fn search(
-        &self,
-        mut best: Trust,
-        sample: &[(usize, Vec<Sight>)],
-        control: &mut Control<'_>,
-    ) -> Result<(f64, Trust)> {
-        let mut lowest = self.left_out_error(best, sample);
+    fn search(&self, mut best: Trust, rehearsal: &Rehearsal, control: &mut Control<'_>) -> Result<(f64, Trust)> {
+        let mut lowest = self.left_out_error(best, rehearsal);
         type Set = fn(&mut Trust, f64);
         let searches: [(&[f64], Set); 5] = [
             (&PHOTO_DEVIATIONS, |trust, value| trust.photo = value),
@@ -375,7 +388,7 @@ impl<'a> Problem<'a> {
                     continue;
                 }
                 control.poll()?;
-                let error = self.left_out_error(trust, sample);
+                let error = self.left_out_error(trust, rehearsal);
                 if error < lowest {
                     (lowest, best) = (error, trust);
                 }
@@ -384,33 +397,88 @@ impl<'a> Problem<'a> {
         Ok((lowest, best))
     }
 
-    /// Mean squared error of photos that are left out one at a time, on the pixels of `sample`.
-    fn left_out_error(&self, trust: Trust, sample: &[(usize, Vec<Sight>)]) -> f64 {
-        let count = self.views.len();
-        let folds = count.min(LEFT_OUT);
+    /// Mean squared error of the photos that the folds of `rehearsal` left out.
+    fn left_out_error(&self, trust: Trust, rehearsal: &Rehearsal) -> f64 {
         let mut total = (0.0, 0.0);
-        for without in (0..folds).map(|fold| fold * count / folds) {
-            let trust = Trust { without: Some(without), ..trust };
-            let view = &self.views[without];
+        for fold in &rehearsal.folds {
+            let view = &self.views[fold.without];
             // Summed in order: the same bits on any number of threads.
-            let errors: Vec<(f64, f64)> = sample
-                .par_iter()
-                .map(|&(pixel, ref sights)| {
-                    let prior = self.prior(pixel, trust);
-                    let mut raw = prior.mean;
-                    self.fit(pixel, sights, &mut raw, &prior, trust, 6);
-                    let seen = sights[without].look(&Surface::new(&raw));
-                    let known = (0..3).filter(|c| view.photo.saturated[pixel] >> c & 1 == 0);
-                    let error = |c: usize| (seen.code[c].min(1.0) - f64::from(view.code[pixel][c])).powi(2);
-                    known.fold((0.0, 0.0), |(sum, count), c| (sum + error(c), count + 1.0))
-                })
-                .collect();
-            for (error, count) in errors {
-                total = (total.0 + error, total.1 + count);
+            for (pixel, code) in self.predict(fold, &fold.shots[fold.without], trust, rehearsal) {
+                for c in (0..3).filter(|c| view.photo.saturated[pixel] >> c & 1 == 0) {
+                    total.0 += (code[c].min(1.0) - f64::from(view.code[pixel][c])).powi(2);
+                    total.1 += 1.0;
+                }
             }
         }
         total.0 / f64::max(total.1, 1.0)
     }
+
+    /// What the photo that `fold` left out would show if it was taken as `shot`: some pixels, and their codes.
+    fn predict(&self, fold: &Fold, shot: &Shot, trust: Trust, rehearsal: &Rehearsal) -> Vec<(usize, [f64; 3])> {
+        let [width, height] = rehearsal.size;
+        let (_, sample) = grid(width, height, CHOICE_SIDE);
+        let predict = |place: usize| {
+            let pixel = rehearsal.pixels[place];
+            let prior = self.prior(&so_far(&fold.raw, width * height, place), pixel, trust);
+            let sights = self.sights(pixel, fold.shots.iter());
+            let mut raw = prior.mean;
+            let seen = Seen { pixel, sights: &sights, without: Some(fold.without) };
+            self.fit(seen, &mut raw, &prior, trust, 6);
+            (pixel, self.sights(pixel, [shot].into_iter())[0].look(&Surface::new(&raw)).code)
+        };
+        sample.into_par_iter().map(predict).collect()
+    }
+
+    /// Expected errors of a new photo, from how those are missed that the folds of `rehearsal` left out, under their stated light.
+    fn expected(&self, trust: Trust, rehearsal: &Rehearsal) -> Option<Expected> {
+        let [width, height] = rehearsal.size;
+        let ([columns, _], _) = grid(width, height, CHOICE_SIDE);
+        let error = |fold: &Fold| {
+            let view = &self.views[fold.without];
+            let predicted = self.predict(fold, &view.photo.shot, trust, rehearsal);
+            let clamped = |code: [f64; 3]| code.map(|value| value.clamp(0.0, 1.0));
+            let seen: Vec<[f64; 3]> =
+                predicted.iter().map(|&(pixel, _)| clamped(view.code[pixel].map(f64::from))).collect();
+            let predicted: Vec<[f64; 3]> = predicted.into_iter().map(|(_, code)| clamped(code)).collect();
+            let off = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).map(|c| (a[c] - b[c]).powi(2)).sum::<f64>();
+            let squares: f64 = predicted.iter().zip(&seen).map(off).sum();
+            let plain = (squares / (3 * seen.len()) as f64).sqrt();
+            [plain, code_rmse_smooth_gain(&predicted, &seen, columns)]
+        };
+        Expected::of(&rehearsal.folds.iter().map(error).collect::<Vec<_>>())
+    }
+
+    /// Likewise from the deviations of the maps alone: how far they move what is seen from around.
+    fn estimated(&self, raw: &[f32], deviation: &[f32]) -> Expected {
+        let (_, sample) = grid(self.capture.width(), self.capture.height(), CHOICE_SIDE);
+        let shot = &self.capture.photos()[0].shot;
+        let around = |direction: usize| {
+            let far = shot.light.iter().map(|x| x * x).sum::<f64>().sqrt();
+            let angle = std::f64::consts::TAU * direction as f64 / NEW_PLACES as f64;
+            let (sin, cos) = NEW_ANGLE.sin_cos();
+            let place = [far * sin * angle.cos(), far * sin * angle.sin(), far * cos];
+            Shot { camera: place, light: place, ..*shot }
+        };
+        let shots: Vec<Shot> = (0..NEW_PLACES).map(around).collect();
+        let variance = |pixel: usize| -> f64 {
+            let at = |planes: &[f32]| so_far(planes, self.pixels(), pixel);
+            let (raw, deviation) = (at(raw), at(deviation));
+            let of = |sight: Sight| -> f64 {
+                let seen = sight.look(&Surface::new(&raw));
+                let moved = |c: usize| (0..5).map(move |i| (seen.slopes[c][i] * deviation[places(c)[i]]).powi(2));
+                (0..3).flat_map(moved).sum()
+            };
+            self.sights(pixel, shots.iter()).into_iter().map(of).sum()
+        };
+        let sum: f64 = sample.iter().map(|&pixel| variance(pixel)).sum();
+        let error = (sum / (3 * NEW_PLACES * sample.len()) as f64).sqrt();
+        Expected { error, material: error, estimated: true }
+    }
+}
+
+/// The raw values at `place` of nine planes, each `length` long.
+fn so_far(planes: &[f32], length: usize, place: usize) -> [f64; RAW] {
+    std::array::from_fn(|i| planes[i * length + place].into())
 }
 
 /// Where the slopes of channel `c` belong among the raw values, in ascending order.
@@ -447,7 +515,7 @@ pub(crate) fn finish(
         capture.photos().iter().zip(shots).map(|(photo, &shot)| View { photo, shot, code: codes(photo) }).collect();
     let problem = Problem { capture, views, start, roughness_floor };
 
-    let trust = problem.choose(control)?;
+    let trust = problem.choose(start.rehearsal, control)?;
     tracing::debug!("{trust:?}");
     control.report(Stage::Finish, 1, 2, None)?;
 
@@ -479,15 +547,17 @@ pub(crate) fn finish(
         seconds: begun.elapsed().as_secs_f64(),
     });
     control.report(Stage::Finish, 2, 2, None)?;
+    let (raw, deviation) = (planes(|row| &row.raw), planes(|row| &row.deviation));
+    let expected = problem.expected(trust, start.rehearsal).unwrap_or_else(|| problem.estimated(&raw, &deviation));
     let belief = Belief { photo_deviation: trust.photo, shares: [trust.normal, trust.specular] };
-    Ok(Finished { raw: planes(|row| &row.raw), deviation: planes(|row| &row.deviation), belief })
+    Ok(Finished { raw, deviation, belief, expected })
 }
 
 #[cfg(test)]
 mod tests {
     use std::ops::ControlFlow;
 
-    use super::{Finished, RAW, Start, finish};
+    use super::{Finished, Fold, RAW, Rehearsal, Start, finish};
     use crate::capture::{Capture, Photo, Shot};
     use crate::color::Transfer;
     use crate::error::Error;
@@ -539,6 +609,14 @@ mod tests {
         Capture::new(photos.collect(), 2.0, Transfer::Linear).unwrap()
     }
 
+    /// As if `raw` had been found without each of the photos.
+    fn rehearsal(capture: &Capture, raw: &[f32]) -> Rehearsal {
+        let shots: Vec<Shot> = capture.photos().iter().map(|photo| photo.shot).collect();
+        let fold = |without| Fold { without, raw: raw.to_vec(), shots: shots.clone() };
+        let folds = if capture.len() > 1 { (0..capture.len()).map(fold).collect() } else { Vec::new() };
+        Rehearsal { size: [WIDTH, HEIGHT], pixels: (0..PIXELS).collect(), folds }
+    }
+
     fn run(capture: &Capture, raw: &[f32], deviation: f32) -> Finished {
         let mut callback = |_: &Progress| ControlFlow::Continue(());
         let mut control = Control::new(&mut callback, CancelToken::new());
@@ -546,7 +624,7 @@ mod tests {
         let finished = finish(
             capture,
             &capture.photos().iter().map(|photo| photo.shot).collect::<Vec<_>>(),
-            Start { raw, network: raw, deviation: &vec![deviation; raw.len()] },
+            Start { raw, network: raw, deviation: &vec![deviation; raw.len()], rehearsal: &rehearsal(capture, raw) },
             -0.9,
             20,
             &mut stages,
@@ -572,8 +650,9 @@ mod tests {
     fn photos_correct_a_wrong_prediction() {
         let truth = truth();
         let start = disturbed(&truth, 0.2);
-        let Finished { raw, deviation, belief } = run(&capture(&truth, 8), &start, 0.12);
+        let Finished { raw, deviation, belief, expected } = run(&capture(&truth, 8), &start, 0.12);
         assert!(belief.photo_deviation <= 0.0125, "{belief:?}");
+        assert!(expected.error < 0.02 && expected.material <= expected.error && !expected.estimated, "{expected:?}");
         for planes in [0..3, 3..5, 5..6, 6..9] {
             let (before, after) = (rms(&start, &truth, planes.clone()), rms(&raw, &truth, planes.clone()));
             assert!(after < 0.5 * before, "{planes:?}: {before} {after}");
@@ -589,7 +668,8 @@ mod tests {
         dark.shot.light_intensity = [1e-9; 3];
         dark.image = Image::new(WIDTH, HEIGHT, 3, vec![0.0; 3 * PIXELS]).unwrap();
         let black = Capture::new(vec![dark], 2.0, Transfer::Linear).unwrap();
-        let Finished { raw, deviation, .. } = run(&black, &truth, 0.1);
+        let Finished { raw, deviation, expected, .. } = run(&black, &truth, 0.1);
+        assert!(expected.estimated, "{expected:?}");
         assert!(rms(&raw, &truth, 0..RAW) < 1e-6);
         // Nor is anything surer than the network is.
         assert!(deviation.iter().all(|value| (value - 0.1).abs() < 1e-4), "{}", deviation[0]);
@@ -602,7 +682,8 @@ mod tests {
         let attempt = |raw: &[f32], answer: ControlFlow<()>| {
             let mut callback = |_: &Progress| answer;
             let mut control = Control::new(&mut callback, CancelToken::new());
-            let start = Start { raw, network: &truth, deviation: &truth };
+            let rehearsal = rehearsal(&capture, &truth);
+            let start = Start { raw, network: &truth, deviation: &truth, rehearsal: &rehearsal };
             finish(&capture, &shots(2), start, -1.0, 1, &mut Vec::new(), &mut control)
         };
         assert!(matches!(attempt(&truth[1..], ControlFlow::Continue(())), Err(Error::ShapeMismatch { .. })));
