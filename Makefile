@@ -18,7 +18,7 @@ endif
 # Property tests draw the same cases every time; another seed draws others.
 export PROPTEST_RNG_SEED ?= 1
 
-.PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test golden blender-test oiio-test training-test stubs wheel addon bench accuracy ablations fuzz sample clean
+.PHONY: help build demo test setup lint unit docs-test c-test asan header install python-build python-test mutations golden blender-test oiio-test training-test stubs wheel addon bench accuracy ablations fuzz sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -90,6 +90,9 @@ wheel: setup ## the Python package as a wheel in dist (PROFILE=dev for a quick o
 python-test: ## Python package and tools
 	$(VENV)/bin/python -m pytest -q tests/python
 	SVBRDF_GCN_NUMPY=1.26 $(VENV)/numpy1/bin/python -m pytest -q tests/python/test_package.py
+
+mutations: ## 5,000 damaged captures, photos, materials and weights; after python-build (make test has 200 of another seed)
+	$(VENV)/bin/python tests/mutations/mutations.py
 
 golden: ## one capture, the same files from every language; after c-test and python-build
 	SVBRDF_GCN_WHEEL=$$(ls $(CURDIR)/target/wheels/*.whl) $(VENV)/bin/python tests/golden/compare.py target/golden cli=target/debug/svbrdf-gcn c=target/c/tests/golden-c cpp=target/c/tests/golden-cpp \
