@@ -3,8 +3,9 @@
 use std::f32::consts::FRAC_1_SQRT_2;
 use std::sync::Arc;
 
+use rustfft::algorithm::{BluesteinsAlgorithm, Radix4};
 use rustfft::num_complex::Complex32;
-use rustfft::{Fft, FftPlanner};
+use rustfft::{Fft, FftDirection};
 
 use super::dice::Dice;
 
@@ -41,7 +42,14 @@ pub(super) struct Transform {
 
 impl Transform {
     pub fn new(side: usize) -> Self {
-        Self { side, inverse: FftPlanner::new().plan_fft_inverse(side) }
+        // rustfft's planner would choose among all of its algorithms, and they take longer to compile than all of this crate.
+        let inverse: Arc<dyn Fft<f32>> = if side.is_power_of_two() {
+            Arc::new(Radix4::new(side, FftDirection::Inverse))
+        } else {
+            let inner = Radix4::new((2 * side).next_power_of_two(), FftDirection::Inverse);
+            Arc::new(BluesteinsAlgorithm::new(side, Arc::new(inner)))
+        };
+        Self { side, inverse }
     }
 
     /// Pixels of a side.
@@ -94,8 +102,26 @@ impl Transform {
 
 #[cfg(test)]
 mod tests {
+    use rustfft::algorithm::Dft;
+    use rustfft::num_complex::Complex32;
+    use rustfft::{Fft, FftDirection};
+
     use super::super::dice::{Dice, Purpose};
     use super::{Spectrum, Transform};
+
+    #[test]
+    fn transforms_of_all_sizes_are_those_of_the_definition() {
+        for side in [8, 9, 24, 31, 64, 100, 128] {
+            let mut dice = Dice::new(1, Purpose::Procedural, [0, 0]);
+            let values: Vec<_> = (0..side).map(|_| dice.normals()).map(|[re, im]| Complex32::new(re, im)).collect();
+            let (mut fast, mut slow) = (values.clone(), values);
+            Transform::new(side).inverse.process(&mut fast);
+            Dft::new(side, FftDirection::Inverse).process(&mut slow);
+            for (fast, slow) in fast.into_iter().zip(slow) {
+                assert!((fast - slow).norm() < 1e-4, "{side}: {fast} {slow}");
+            }
+        }
+    }
 
     /// Root mean square of the differences between neighbours, to the right and downwards.
     fn roughness(field: &[f32], side: usize) -> [f64; 2] {
