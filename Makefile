@@ -4,9 +4,11 @@ CARGO ?= cargo
 PYTHON ?= python3
 TRAINING_PYTHON ?= $(PYTHON)
 VENV := .venv
-# The tests against OpenImageIO bring dependencies of their own, and their target.
-WORKSPACE := --workspace --exclude svbrdf-gcn-oiio-tests
-BIN := target/release/svbrdf-gcn
+# One choice of packages for all tests: any other asks for other features of their dependencies, and compiles most of it again.
+WORKSPACE := --workspace --exclude svbrdf-gcn-benches
+# Where Cargo puts what it builds.
+TARGET := $(or $(CARGO_TARGET_DIR),target)
+BIN := $(TARGET)/release/svbrdf-gcn
 # The Cargo profile of the wheel: dev compiles faster, and shares what the tests compiled.
 PROFILE ?= release
 
@@ -23,67 +25,75 @@ export PROPTEST_RNG_SEED ?= 1
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
 
-build: ## the command line, optimised
-	$(CARGO) build --release --locked -p svbrdf-gcn
+# Both at once: alone, the libraries would ask for fewer features and compile everything again.
+build: ## the command line and the C libraries, optimised
+	$(CARGO) build --release --locked -p svbrdf-gcn -p svbrdf-gcn-ffi
 
 demo: build ## fit the sample capture and show where the pictures are
 	@$(BIN) fit samples/tiles --views 0,1,2,3,4,5,6 -o out/demo
 	@$(BIN) evaluate out/demo samples/tiles --views 7,8 --truth samples/tiles/truth
 	@echo "Look at out/demo/preview.png"
 
-test: setup lint unit docs-test c-test python-build python-test golden blender-test oiio-test ## set up what the tests need, and run them all, cheapest first
+# What only rebuilds need is not kept.
+test: export CARGO_INCREMENTAL := 0
+test: setup lint unit docs-test c-test python-build python-test golden blender-test ## set up what the tests need, and run them all, cheapest first
 
 setup: ## Python packages in .venv
 	@tools/setup.sh
 
 lint: ## formatting, clippy, documentation
 	$(CARGO) fmt --all --check
-	$(CARGO) clippy $(WORKSPACE) --all-targets --locked -- -D warnings
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc $(WORKSPACE) --no-deps --locked
+	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --locked
 
-unit: ## Rust tests
+unit: ## Rust tests, also against OpenImageIO
 	$(CARGO) check -p svbrdf-gcn --no-default-features --locked
-	$(CARGO) test $(WORKSPACE) --lib --bins --tests --locked
+	$(CARGO) test $(WORKSPACE) --tests --locked
 
 docs-test: ## the examples in the documentation
 	$(CARGO) test $(WORKSPACE) --doc --locked
 
-# What `cargo test` has compiled, and the libraries: any other choice of packages would compile most of it again.
 c-test: ## C and C++: interface, installed library, examples, sanitizers, valgrind, same files as the command line
 	$(CARGO) build $(WORKSPACE) --lib --bins --test header --locked
-	rm -rf target/c
-	tools/install.sh target/debug target/c/prefix
-	tests/c/run.sh target/c/prefix target/debug/svbrdf-gcn
+	rm -rf $(TARGET)/c
+	tools/install.sh $(TARGET)/debug $(TARGET)/c/prefix
+	tests/c/run.sh $(TARGET)/c/prefix $(TARGET)/debug/svbrdf-gcn
 
 asan: ## the C and C++ tests with the library under AddressSanitizer too (minutes; compiles everything)
-	RUSTC_BOOTSTRAP=1 RUSTFLAGS=-Zsanitizer=address $(CARGO) build -p svbrdf-gcn-ffi --locked --target x86_64-unknown-linux-gnu --target-dir target/asan
-	rm -rf target/c-asan
-	tools/install.sh target/asan/x86_64-unknown-linux-gnu/debug target/c-asan/prefix
-	ASAN=1 tests/c/run.sh target/c-asan/prefix
+	RUSTC_BOOTSTRAP=1 RUSTFLAGS=-Zsanitizer=address $(CARGO) build -p svbrdf-gcn-ffi --locked --target x86_64-unknown-linux-gnu --target-dir $(TARGET)/asan
+	rm -rf $(TARGET)/c-asan
+	tools/install.sh $(TARGET)/asan/x86_64-unknown-linux-gnu/debug $(TARGET)/c-asan/prefix
+	ASAN=1 tests/c/run.sh $(TARGET)/c-asan/prefix
 
 header: ## write include/svbrdf_gcn/svbrdf_gcn.h anew
 	SVBRDF_GCN_WRITE_HEADER=1 $(CARGO) test $(WORKSPACE) --test header --locked
 
 PREFIX ?= /usr/local
-install: ## libraries, headers, pkg-config and CMake files to PREFIX (and DESTDIR)
-	$(CARGO) build --release --locked -p svbrdf-gcn-ffi
-	tools/install.sh target/release "$(DESTDIR)$(PREFIX)"
+install: build ## libraries, headers, pkg-config and CMake files to PREFIX (and DESTDIR)
+	tools/install.sh $(TARGET)/release "$(DESTDIR)$(PREFIX)"
 
-MATURIN := $(VENV)/bin/maturin
+# The builder of Python packages, in an environment of its own: it needs nothing that the tests need.
+MATURIN := $(VENV)/maturin/bin/maturin
+$(MATURIN): python/requirements.txt
+	$(PYTHON) -m venv $(VENV)/maturin
+	$(VENV)/maturin/bin/pip install --quiet --disable-pip-version-check -r $<
+	touch $@
+
 PACKAGE := --manifest-path python/Cargo.toml --locked
+WHEELS := $(abspath $(TARGET))/wheels
 
-python-build: ## the Python package, installed in .venv; its stubs must be those that `make stubs` writes
-	rm -rf target/wheels target/stubs
-	$(MATURIN) build $(PACKAGE) --profile dev --out target/wheels
-	$(MATURIN) generate-stubs $(PACKAGE) --profile dev --out target/stubs
-	diff -u python/svbrdf_gcn/_svbrdf_gcn.pyi target/stubs/svbrdf_gcn/_svbrdf_gcn.pyi
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
-	$(VENV)/numpy1/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
+python-build: $(MATURIN) ## the Python package, installed in .venv; its stubs must be those that `make stubs` writes
+	rm -rf $(WHEELS) $(TARGET)/stubs
+	$(MATURIN) build $(PACKAGE) --profile dev --out $(WHEELS)
+	$(MATURIN) generate-stubs $(PACKAGE) --profile dev --out $(TARGET)/stubs
+	diff -u python/svbrdf_gcn/_svbrdf_gcn.pyi $(TARGET)/stubs/svbrdf_gcn/_svbrdf_gcn.pyi
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+	$(VENV)/numpy1/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
 
-stubs: setup ## write the types of the Python package anew
+stubs: $(MATURIN) ## write the types of the Python package anew
 	$(MATURIN) generate-stubs $(PACKAGE) --profile dev --out python
 
-wheel: setup ## the Python package as a wheel in dist (PROFILE=dev for a quick one)
+wheel: $(MATURIN) ## the Python package as a wheel in dist (PROFILE=dev for a quick one)
 	rm -f dist/*.whl
 	$(MATURIN) build $(PACKAGE) --profile $(PROFILE) --strip --out dist
 
@@ -95,7 +105,7 @@ mutations: ## 5,000 damaged captures, photos, materials and weights; after pytho
 	$(VENV)/bin/python tests/mutations/mutations.py
 
 golden: ## one capture, the same files from every language; after c-test and python-build
-	SVBRDF_GCN_WHEEL=$$(ls $(CURDIR)/target/wheels/*.whl) $(VENV)/bin/python tests/golden/compare.py target/golden cli=target/debug/svbrdf-gcn c=target/c/tests/golden-c cpp=target/c/tests/golden-cpp \
+	SVBRDF_GCN_WHEEL=$$(ls $(WHEELS)/*.whl) $(VENV)/bin/python tests/golden/compare.py $(TARGET)/golden cli=$(TARGET)/debug/svbrdf-gcn c=$(TARGET)/c/tests/golden-c cpp=$(TARGET)/c/tests/golden-cpp \
 		"python=$(VENV)/bin/python tests/golden/fit.py" "blender=$(VENV)/blender/bin/python tests/golden/fit_blender.py"
 
 training-test: ## the trainer; TRAINING_PYTHON is a Python that has PyTorch, numpy and Pillow (make test leaves this out)
@@ -103,16 +113,16 @@ training-test: ## the trainer; TRAINING_PYTHON is a Python that has PyTorch, num
 	$(VENV)/training/bin/python -m pytest -q -rs tests/training
 
 blender-test: ## the extension, in Blender's Python module
-	SVBRDF_GCN_WHEEL=$$(ls $(CURDIR)/target/wheels/*.whl) $(VENV)/blender/bin/python -m pytest -q tests/blender
+	SVBRDF_GCN_WHEEL=$$(ls $(WHEELS)/*.whl) $(VENV)/blender/bin/python -m pytest -q tests/blender
 
 addon: wheel ## the Blender extension in dist
-	$(VENV)/bin/python python/tools/build_addon.py dist/*.whl -o dist
+	$(VENV)/maturin/bin/python python/tools/build_addon.py dist/*.whl -o dist
 
-oiio-test: ## readers, writers and colours against OpenImageIO
-	$(CARGO) test -p svbrdf-gcn-oiio-tests --locked
+oiio-test: ## readers, writers and colours against OpenImageIO (part of unit)
+	$(CARGO) test $(WORKSPACE) --test files --locked
 
 bench: ## benchmarks; figures are in docs/performance.md
-	$(CARGO) bench -p svbrdf-gcn
+	$(CARGO) bench -p svbrdf-gcn-benches
 
 # ACCURACY are arguments of the script: ACCURACY=--quick, ACCURACY=--report-only, ...
 accuracy: build ## fit materials and captures whose truth is known and write docs/accuracy.md (needs the measuring data; hours)
@@ -135,4 +145,5 @@ sample: setup ## path-trace the sample captures again
 	$(VENV)/blender/bin/python python/tools/make_sample.py samples
 
 clean: ## remove what was built
-	rm -rf target out dist $(VENV)
+	$(CARGO) clean
+	rm -rf out dist $(VENV)
