@@ -55,7 +55,7 @@ def scene(addon):
     bpy.context.view_layer.objects.active = patch
     settings = bpy.context.scene.svbrdf_gcn
     settings.folder = str(ROOT / "samples" / "tiles")
-    settings.size = 48
+    settings.size = 24
     settings.preset = "draft"
     settings.views = "0,1,2,3"
     settings.threads = 2

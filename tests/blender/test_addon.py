@@ -35,7 +35,7 @@ def expected(**changes):
     """The same fit through Python."""
     import svbrdf_gcn
 
-    capture = svbrdf_gcn.Capture.open(ROOT / "samples" / "tiles", size=48, views=[0, 1, 2, 3])
+    capture = svbrdf_gcn.Capture.open(ROOT / "samples" / "tiles", size=24, views=[0, 1, 2, 3])
     return svbrdf_gcn.fit_material(capture, **{"preset": "draft", "threads": 2, **changes})
 
 

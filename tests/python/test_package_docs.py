@@ -61,7 +61,7 @@ def test_pages(page, monkeypatch, tmp_path):
     (tmp_path / "samples").symlink_to(ROOT / "samples")
     (tmp_path / "my-capture").symlink_to(ROOT / "samples" / "tiles")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(svbrdf_gcn, "fit_material", functools.partial(svbrdf_gcn.fit_material, direct_steps=5))
+    monkeypatch.setattr(svbrdf_gcn, "fit_material", functools.partial(svbrdf_gcn.fit_material, direct_steps=5, finish_steps=0))
     capture = svbrdf_gcn.Capture.open("my-capture", size=32)
     names = {
         "threading": threading,
