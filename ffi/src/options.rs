@@ -692,12 +692,12 @@ mod tests {
                 fill(&mut save, &bytes);
                 fill(&mut export, &bytes);
             }
-            (capture.views, export.name) = (ptr::null(), ptr::null());
+            (capture.views, capture.cancel, export.name) = (ptr::null(), ptr::null(), ptr::null());
             let fit = options.fit_options(CancelToken::new());
             if let Ok(fit) = fit {
                 prop_assert_eq!(fit.seed, options.seed);
             }
-            // SAFETY: there are no views and there is no name.
+            // SAFETY: there are no views, no token and no name.
             let (capture, export) = unsafe { (capture.capture_options(), export.export_options()) };
             drop((capture, export, save.save_options()));
         }
