@@ -135,10 +135,11 @@ accuracy: build ## fit materials and captures whose truth is known and write doc
 ablations: build ## measure the trainings of python/training/ablations.py in out/ablations and write docs/ablations.md (after make accuracy)
 	$(VENV)/accuracy/bin/python tests/accuracy/ablations.py out/ablations --binary $(BIN)
 
-fuzz: ## a minute on each reader (needs cargo-fuzz)
-	for target in image folders weights; do \
+FUZZ_SECONDS ?= 60
+fuzz: ## a minute (FUZZ_SECONDS) on each reader and on the C interface (needs cargo-fuzz)
+	for target in image folders weights training_packs c_interface; do \
 		mkdir -p fuzz/corpus/$$target fuzz/seeds/$$target; \
-		RUSTC_BOOTSTRAP=1 $(CARGO) fuzz run -O $$target fuzz/corpus/$$target fuzz/seeds/$$target -- -max_total_time=60 -malloc_limit_mb=1200 -max_len=65536 || exit 1; \
+		RUSTC_BOOTSTRAP=1 $(CARGO) fuzz run -O $$target fuzz/corpus/$$target fuzz/seeds/$$target -- -max_total_time=$(FUZZ_SECONDS) -malloc_limit_mb=1200 -max_len=65536 || exit 1; \
 	done
 
 sample: setup ## path-trace the sample captures again

@@ -21,5 +21,6 @@ mod validate;
 mod tests;
 
 pub use config::{Configuration, DataSettings, LossSettings, OptimiserSettings, Phase, ValidationSettings};
+pub use data::library::Library;
 pub use run::{Event, RunOptions, Summary, run};
 pub use validate::{Scores, Validation};

@@ -62,9 +62,9 @@ fn unstated() -> String {
 }
 
 /// Materials to train on, those held out, and where they come from.
-pub(crate) struct Library {
-    pub training: Vec<Texture>,
-    pub validation: Vec<Texture>,
+pub struct Library {
+    pub(in crate::train) training: Vec<Texture>,
+    pub(in crate::train) validation: Vec<Texture>,
     /// Names of the materials held out.
     held_out: Vec<String>,
     /// How many of the materials to train on come under which licence.
