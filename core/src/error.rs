@@ -76,7 +76,9 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 fn out_of_memory(what: &str, needed: u64, allowed: Option<u64>) -> String {
     match allowed {
-        Some(allowed) => format!("max_memory: {what} needs about {needed} bytes, allowed are {allowed}"),
+        Some(allowed) => format!(
+            "max_memory: {what} needs about {needed} bytes, allowed are {allowed}: take a smaller size or fewer photos, or allow more"
+        ),
         None => format!("memory: {what} need {needed} bytes, which the system refuses"),
     }
 }

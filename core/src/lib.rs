@@ -14,7 +14,7 @@ pub mod image;
 pub mod io;
 pub mod maps;
 pub mod material;
-mod memory;
+pub mod memory;
 pub mod metrics;
 pub mod nn;
 mod pool;

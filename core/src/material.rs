@@ -102,6 +102,13 @@ impl Material {
         Ok(Self { unit: self.unit.clone(), warnings: self.warnings.clone(), ..limited })
     }
 
+    /// Bytes of its maps in memory.
+    pub fn memory(&self) -> u64 {
+        let maps = [&self.diffuse_albedo, &self.specular_albedo, &self.roughness, &self.normal];
+        let values = maps.into_iter().chain(&self.tangent).map(|map| map.data().len()).sum::<usize>();
+        (values * size_of::<f32>()) as u64
+    }
+
     /// The maps as planes, albedos and roughness limited to [0, 1].
     ///
     /// # Errors

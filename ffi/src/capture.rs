@@ -130,7 +130,8 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_add_photo(
         let image = unsafe { HostImage::read("pixels", pixels) }?;
         let HostImage { width, height, channels, .. } = image;
         let photo = PhotoPixels { name: &name, shot, width, height, channels, samples: image.samples() };
-        let added = Capture::from_photos(&[photo], *patch_size, *transfer, *white_level, options)?;
+        let options = options.clone().in_use(handle.capture.as_ref().map_or(0, Capture::memory));
+        let added = Capture::from_photos(&[photo], *patch_size, *transfer, *white_level, &options)?;
         match &mut handle.capture {
             Some(capture) => capture.append(added)?,
             none => *none = Some(added),

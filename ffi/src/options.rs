@@ -248,7 +248,7 @@ pub struct svbrdf_gcn_options {
     pub adapter_steps: i64,
     /// Steps on the maps themselves; -1, the default: the preset's.
     pub direct_steps: i64,
-    /// Most bytes the run may use; -1, the default: three quarters of the free memory.
+    /// Most bytes the run may use, photos and weights included; -1, the default: three quarters of the free memory beside these.
     pub max_memory: i64,
     /// Seed of everything random; 0 by default. Same seed, threads and CPU: same bits.
     pub seed: u64,
@@ -353,6 +353,9 @@ pub struct svbrdf_gcn_capture_options {
     /// Stops the reading from another thread, also while a photo is decoded: it then returns `SVBRDF_GCN_CANCELLED`. NULL, the default: nothing does. It has
     /// to live until the call with these options returns; a capture made for pixels of the host keeps it in mind for the photos that are added.
     pub cancel: *const svbrdf_gcn_cancel_token,
+    /// Most bytes the run may use, from the reading of photos on; -1, the default: three quarters of the free memory. What photos need is known from
+    /// their files' headers, before any is decoded: `SVBRDF_GCN_ERR_OUT_OF_MEMORY` if it is more. Photos of the host count as they are kept.
+    pub max_memory: i64,
 }
 
 impl SizeFirst for svbrdf_gcn_capture_options {
@@ -369,6 +372,7 @@ impl SizeFirst for svbrdf_gcn_capture_options {
             color_space: SVBRDF_GCN_COLOR_SPACE_FROM_CAPTURE as i32,
             ignore_profiles: 0,
             cancel: ptr::null(),
+            max_memory: -1,
         }
     }
 }
@@ -380,6 +384,7 @@ impl svbrdf_gcn_capture_options {
         // SAFETY: NULL or a living token, says the caller.
         let mut options = CaptureOptions::new().cancel(unsafe { token_or_new(self.cancel) });
         options.size = given("size", self.size)?;
+        options.max_memory = given("max_memory", self.max_memory)?;
         if self.view_count > MAX_PHOTOS {
             return Err(Failure::invalid(
                 "view_count",

@@ -556,6 +556,11 @@ typedef struct svbrdf_gcn_capture_options {
    * to live until the call with these options returns; a capture made for pixels of the host keeps it in mind for the photos that are added.
    */
   const struct svbrdf_gcn_cancel_token *cancel;
+  /**
+   * Most bytes the run may use, from the reading of photos on; -1, the default: three quarters of the free memory. What photos need is known from
+   * their files' headers, before any is decoded: `SVBRDF_GCN_ERR_OUT_OF_MEMORY` if it is more. Photos of the host count as they are kept.
+   */
+  int64_t max_memory;
 } svbrdf_gcn_capture_options;
 
 /**
@@ -745,7 +750,7 @@ typedef struct svbrdf_gcn_options {
    */
   int64_t direct_steps;
   /**
-   * Most bytes the run may use; -1, the default: three quarters of the free memory.
+   * Most bytes the run may use, photos and weights included; -1, the default: three quarters of the free memory beside these.
    */
   int64_t max_memory;
   /**

@@ -263,6 +263,8 @@ struct CaptureOptions {
     bool ignore_profiles = false;
     /// Stops the reading from another thread; has to live until the photos are read.
     const CancelToken *cancel = nullptr;
+    /// Most bytes the run may use, from the reading of photos on; three quarters of the free memory if not given.
+    std::optional<std::int64_t> max_memory;
 };
 
 /// Options of a fit, under the names of the command line.
@@ -273,7 +275,7 @@ struct Options {
     std::string weights;
     /// Steps of the stages, instead of the preset's.
     std::optional<std::int64_t> latent_steps, adapter_steps, direct_steps, finish_steps;
-    /// Most bytes the run may use; three quarters of the free memory if not given.
+    /// Most bytes the run may use, photos and weights included; three quarters of the free memory beside these if not given.
     std::optional<std::int64_t> max_memory;
     std::uint64_t seed = 0;
     /// All the machine offers if not given.
@@ -328,6 +330,7 @@ inline svbrdf_gcn_capture_options capture_options(const CaptureOptions &options)
     made.color_space = static_cast<std::int32_t>(options.color_space);
     made.ignore_profiles = options.ignore_profiles ? 1 : 0;
     made.cancel = options.cancel ? options.cancel->get() : nullptr;
+    made.max_memory = options.max_memory.value_or(-1);
     return made;
 }
 

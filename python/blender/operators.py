@@ -67,7 +67,7 @@ def prepare(settings):
             raise ValueError("folder: expected a capture folder, got nothing")
 
         def fit_folder(**control):
-            capture = svbrdf_gcn.Capture.open(folder, **reading, cancel=control["cancel"])
+            capture = svbrdf_gcn.Capture.open(folder, **reading, max_memory=options["max_memory"], cancel=control["cancel"])
             return svbrdf_gcn.fit_material(capture, **options, **control)
 
         path = Path(folder)

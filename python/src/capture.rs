@@ -10,7 +10,7 @@ use svbrdf_gcn::{CancelToken, Capture, CaptureOptions, ColorSpace, PhotoPixels, 
 use crate::arrays::{ImageArray, Pixels, Triples, asarray, intensities, is_bare_iterable, shape_of, triples, tuple};
 use crate::errors::{argument, detached, format, interruptible, shape};
 use crate::fit::{PyCancelToken, token};
-use crate::options::{Given, Integers, choice, counts, items, maybe, maybe_count, named, shown};
+use crate::options::{Bytes, Given, Integers, bytes, choice, counts, items, maybe, maybe_count, named, shown};
 use crate::types::{ArrayLike, Photos, Source};
 
 /// What says how a capture is read.
@@ -22,6 +22,7 @@ pub struct Reading<'py> {
     pub ignore_profiles: bool,
     /// Of the call, which a capture that is there does not contradict.
     pub cancel: CancelToken,
+    pub max_memory: Option<u64>,
 }
 
 impl Reading<'_> {
@@ -33,6 +34,7 @@ impl Reading<'_> {
         options.color_space = maybe("color_space", self.color_space)?.as_deref().map(color_space).transpose()?;
         options.ignore_profiles = self.ignore_profiles;
         options.cancel = self.cancel;
+        options.max_memory = self.max_memory;
         Ok(options)
     }
 
@@ -236,6 +238,8 @@ pub fn color_space(name: &str) -> PyResult<ColorSpace> {
 ///     Read image files as if they held no colour profiles. Without it their colours are converted where `color_space` is not given.
 /// cancel : CancelToken, optional
 ///     Stops the reading from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
+/// max_memory : int or str, optional
+///     Most bytes the run may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given. Arrays that are given are not counted.
 ///
 /// Raises
 /// ------
@@ -247,6 +251,8 @@ pub fn color_space(name: &str) -> PyResult<ColorSpace> {
 ///     For arrays of other types, and files of other formats.
 /// OSError
 ///     For files that cannot be read.
+/// MemoryError
+///     If the photos need more than `max_memory`, before any is decoded.
 /// Cancelled
 ///     If `cancel` was cancelled.
 ///
@@ -264,7 +270,7 @@ pub struct PyCapture(pub Arc<Capture>);
 impl PyCapture {
     #[new]
     #[pyo3(signature = (photos, *, camera_positions, patch_size, light_intensity, transfer, light_positions = None,
-        white_level = None, size = None, views = None, color_space = None, ignore_profiles = Given::Default(false), cancel = None))]
+        white_level = None, size = None, views = None, color_space = None, ignore_profiles = Given::Default(false), cancel = None, max_memory = None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn new<'py>(
         photos: Photos<'py>,
@@ -279,6 +285,7 @@ impl PyCapture {
         color_space: Option<Given<'py, String>>,
         ignore_profiles: Given<'py, bool>,
         cancel: Option<Given<'py, Bound<'py, PyCancelToken>>>,
+        max_memory: Option<Given<'py, Bytes>>,
     ) -> PyResult<Self> {
         let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
         let setup = Setup {
@@ -288,8 +295,9 @@ impl PyCapture {
             light_intensity: Some(light_intensity),
             white_level,
         };
-        let cancel = token(cancel)?;
-        let reading = Reading { size, views, transfer: Some(transfer), color_space, ignore_profiles, cancel };
+        let (cancel, max_memory) = (token(cancel)?, bytes(max_memory)?);
+        let reading =
+            Reading { size, views, transfer: Some(transfer), color_space, ignore_profiles, cancel, max_memory };
         from_photos(&photos.0, setup, reading).map(Self)
     }
 
@@ -313,6 +321,8 @@ impl PyCapture {
     ///     Read photos as if their files held no colour profiles.
     /// cancel : CancelToken, optional
     ///     Stops the reading from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
+    /// max_memory : int or str, optional
+    ///     Most bytes the run may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
     ///
     /// Returns
     /// -------
@@ -320,7 +330,7 @@ impl PyCapture {
     ///
     /// Raises
     /// ------
-    /// OSError, ArgumentError, ShapeError, FormatError, Cancelled
+    /// OSError, ArgumentError, ShapeError, FormatError, MemoryError, Cancelled
     ///     As the constructor.
     ///
     /// Examples
@@ -329,7 +339,7 @@ impl PyCapture {
     /// <svbrdf_gcn.Capture: 2 photos of 64 x 64 pixels, patch 10 wide, transfer srgb>
     #[staticmethod]
     #[pyo3(signature = (path, *, size = None,
-        views = None, transfer = None, color_space = None, ignore_profiles = Given::Default(false), cancel = None))]
+        views = None, transfer = None, color_space = None, ignore_profiles = Given::Default(false), cancel = None, max_memory = None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn open<'py>(
         py: Python<'py>,
@@ -340,10 +350,11 @@ impl PyCapture {
         color_space: Option<Given<'py, String>>,
         ignore_profiles: Given<'py, bool>,
         cancel: Option<Given<'py, Bound<'py, PyCancelToken>>>,
+        max_memory: Option<Given<'py, Bytes>>,
     ) -> PyResult<Self> {
         let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
-        let cancel = token(cancel)?;
-        let reading = Reading { size, views, transfer, color_space, ignore_profiles, cancel };
+        let (cancel, max_memory) = (token(cancel)?, bytes(max_memory)?);
+        let reading = Reading { size, views, transfer, color_space, ignore_profiles, cancel, max_memory };
         open(py, &path.take("path")?, reading).map(Self)
     }
 

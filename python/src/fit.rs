@@ -12,7 +12,7 @@ use svbrdf_gcn::{CancelToken, Capture, FitOptions, Method, Preset, fit_material}
 use crate::capture::{Reading, Setup, capture};
 use crate::errors::{PAUSE, detached};
 use crate::material::PyMaterial;
-use crate::options::{Given, Integers, choice, count, maybe, maybe_count};
+use crate::options::{Bytes, Given, Integers, bytes, choice, count, maybe, maybe_count};
 use crate::types::{ArrayLike, Callback, Source, Weights};
 
 /// Stops a fit, or the reading of photos, from any thread.
@@ -195,8 +195,8 @@ impl PyModel {
 ///     Other weights than those built in.
 /// latent_steps, adapter_steps, direct_steps, finish_steps : int, optional
 ///     Steps on the latent code, the adapters, the maps themselves, the per-pixel finish, instead of the preset's.
-/// max_memory : int, optional
-///     Most bytes the run may use; three quarters of the free memory if not given.
+/// max_memory : int or str, optional
+///     Most bytes the run may use, from the reading of photos on, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
 /// seed : int, default 0
 ///     Seed of everything random. The same seed and thread count give the same bits on the same processor.
 /// threads : int, optional
@@ -260,7 +260,7 @@ pub fn py_fit_material<'py>(
     adapter_steps: Option<Given<'py, i128>>,
     direct_steps: Option<Given<'py, i128>>,
     finish_steps: Option<Given<'py, i128>>,
-    max_memory: Option<Given<'py, i128>>,
+    max_memory: Option<Given<'py, Bytes>>,
     seed: Given<'py, i128>,
     threads: Option<Given<'py, i128>>,
     early_stop: Option<Given<'py, bool>>,
@@ -273,15 +273,15 @@ pub fn py_fit_material<'py>(
     options.adapter_steps = maybe_count("adapter_steps", adapter_steps)?;
     options.direct_steps = maybe_count("direct_steps", direct_steps)?;
     options.finish_steps = maybe_count("finish_steps", finish_steps)?;
-    options.max_memory = maybe_count("max_memory", max_memory)?;
+    options.max_memory = bytes(max_memory)?;
     options.seed = count("seed", seed.take("seed")?)?;
     options.threads = maybe_count("threads", threads)?;
     options.early_stop = maybe("early_stop", early_stop)?;
     options.cancel = token(cancel)?;
     let setup = Setup { camera_positions, light_positions, patch_size, light_intensity, white_level };
     let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
-    let cancel = options.cancel.clone();
-    let reading = Reading { size, views, transfer, color_space, ignore_profiles, cancel };
+    let (cancel, max_memory) = (options.cancel.clone(), options.max_memory);
+    let reading = Reading { size, views, transfer, color_space, ignore_profiles, cancel, max_memory };
     let (weights, progress) = (maybe("weights", weights)?, maybe("progress", progress)?);
     let capture = capture(py, &capture_or_photos, setup, reading)?;
     let model = weights.map(|weights| model(py, &weights, &capture)).transpose()?;

@@ -7,10 +7,11 @@ use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
 use pyo3::inspect::PyStaticExpr;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyString, PyType};
-use pyo3::{type_hint_identifier, type_hint_subscript};
+use pyo3::{type_hint_identifier, type_hint_subscript, type_hint_union};
+use svbrdf_gcn::memory::parse_bytes;
 
 use crate::capture::PyCapture;
-use crate::errors::{argument, format};
+use crate::errors::{argument, exception, format};
 use crate::fit::PyCancelToken;
 use crate::material::PyMaterial;
 use crate::types::{Callback, Weights};
@@ -37,6 +38,14 @@ pub fn count<T: TryFrom<i128>>(name: &str, value: i128) -> PyResult<T> {
 /// As [`count`].
 pub fn maybe_count<T: TryFrom<i128>>(name: &str, value: Option<Given<'_, i128>>) -> PyResult<Option<T>> {
     maybe(name, value)?.map(|value| count(name, value)).transpose()
+}
+
+/// The number of bytes that is given.
+///
+/// # Errors
+/// As [`maybe`].
+pub fn bytes(max_memory: Option<Given<'_, Bytes>>) -> PyResult<Option<u64>> {
+    Ok(maybe("max_memory", max_memory)?.map(|Bytes(bytes)| bytes))
 }
 
 /// [`count`] of every one.
@@ -96,6 +105,23 @@ expected! {
     Bound<'py, PyMaterial>: "a Material",
     Bound<'py, PyCapture>: "a Capture",
     Callback: "something to call",
+}
+
+/// A number of bytes: an integer, or a text as the command line takes it.
+pub struct Bytes(pub u64);
+
+impl<'py> Expected<'py> for Bytes {
+    const HINT: PyStaticExpr =
+        type_hint_union!(<i128 as FromPyObject<'_, 'py>>::INPUT_TYPE, <String as FromPyObject<'_, 'py>>::INPUT_TYPE);
+    const NAME: &'static str = "an integer or a text such as '2G'";
+
+    fn take(object: &Bound<'py, PyAny>) -> PyResult<Self> {
+        if object.is_instance_of::<PyString>() {
+            let text: String = object.extract()?;
+            return parse_bytes(&text).map(Self).map_err(|error| exception(object.py(), &error));
+        }
+        count("max_memory", object.extract()?).map(Self)
+    }
 }
 
 /// Integers out of anything that can be gone through, generators too, but no text.

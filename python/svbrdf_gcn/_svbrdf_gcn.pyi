@@ -85,6 +85,8 @@ class Capture:
         Read image files as if they held no colour profiles. Without it their colours are converted where `color_space` is not given.
     cancel : CancelToken, optional
         Stops the reading from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
+    max_memory : int or str, optional
+        Most bytes the run may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given. Arrays that are given are not counted.
 
     Raises
     ------
@@ -96,6 +98,8 @@ class Capture:
         For arrays of other types, and files of other formats.
     OSError
         For files that cannot be read.
+    MemoryError
+        If the photos need more than `max_memory`, before any is decoded.
     Cancelled
         If `cancel` was cancelled.
 
@@ -108,7 +112,7 @@ class Capture:
     <svbrdf_gcn.Capture: 2 photos of 6 x 4 pixels, patch 10 wide, transfer srgb>
     """
     def __len__(self, /) -> int: ...
-    def __new__(cls, /, photos: ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, color_space: str | None = None, ignore_profiles: bool = ..., cancel: CancelToken | None = None) -> Capture: ...
+    def __new__(cls, /, photos: ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike, patch_size: SupportsFloat | SupportsIndex, light_intensity: ArrayLike, transfer: str, light_positions: ArrayLike | None = None, white_level: SupportsFloat | SupportsIndex | None = None, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, color_space: str | None = None, ignore_profiles: bool = ..., cancel: CancelToken | None = None, max_memory: SupportsIndex | str | None = None) -> Capture: ...
     def __repr__(self, /) -> str: ...
     @property
     def camera_positions(self, /) -> NDArray[float64]:
@@ -136,7 +140,7 @@ class Capture:
         Names of the photos: their files', or ``photos[0]`` and so on.
         """
     @staticmethod
-    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ..., cancel: CancelToken | None = None) -> Capture:
+    def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ..., cancel: CancelToken | None = None, max_memory: SupportsIndex | str | None = None) -> Capture:
         """
         Read a capture: its folder or its JSON file.
 
@@ -158,6 +162,8 @@ class Capture:
             Read photos as if their files held no colour profiles.
         cancel : CancelToken, optional
             Stops the reading from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
+        max_memory : int or str, optional
+            Most bytes the run may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
 
         Returns
         -------
@@ -165,7 +171,7 @@ class Capture:
 
         Raises
         ------
-        OSError, ArgumentError, ShapeError, FormatError, Cancelled
+        OSError, ArgumentError, ShapeError, FormatError, MemoryError, Cancelled
             As the constructor.
 
         Examples
@@ -687,7 +693,7 @@ def command_line(arguments: SupportsGetItem[int, str]) -> int:
     It takes over SIGINT: meant for a process of its own.
     """
 
-def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ..., size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = ..., method: str = ..., weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, finish_steps: SupportsIndex | None = None, max_memory: SupportsIndex | None = None, seed: SupportsIndex = ..., threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
+def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ..., size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = ..., method: str = ..., weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, finish_steps: SupportsIndex | None = None, max_memory: SupportsIndex | str | None = None, seed: SupportsIndex = ..., threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
     """
     Recover the material that photos show.
 
@@ -710,8 +716,8 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
         Other weights than those built in.
     latent_steps, adapter_steps, direct_steps, finish_steps : int, optional
         Steps on the latent code, the adapters, the maps themselves, the per-pixel finish, instead of the preset's.
-    max_memory : int, optional
-        Most bytes the run may use; three quarters of the free memory if not given.
+    max_memory : int or str, optional
+        Most bytes the run may use, from the reading of photos on, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
     seed : int, default 0
         Seed of everything random. The same seed and thread count give the same bits on the same processor.
     threads : int, optional

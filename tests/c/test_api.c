@@ -223,6 +223,11 @@ static void bad_values(const svbrdf_gcn_capture *capture, const svbrdf_gcn_mater
     capture_options.ignore_profiles = 2;
     FAILS(svbrdf_gcn_capture_open(path, &capture_options, &made_capture), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "ignore_profiles");
     OK(svbrdf_gcn_capture_options_init(&capture_options, sizeof capture_options));
+    capture_options.max_memory = 100000;
+    FAILS(svbrdf_gcn_capture_open(path, &capture_options, &made_capture), SVBRDF_GCN_ERR_OUT_OF_MEMORY, "allowed are 100000");
+    capture_options.max_memory = -2;
+    FAILS(svbrdf_gcn_capture_open(path, &capture_options, &made_capture), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "max_memory");
+    OK(svbrdf_gcn_capture_options_init(&capture_options, sizeof capture_options));
     capture_options.size = 0;
     FAILS(svbrdf_gcn_capture_open(path, &capture_options, &made_capture), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "size");
     OK(svbrdf_gcn_capture_options_init(&capture_options, sizeof capture_options));
@@ -589,6 +594,7 @@ static void cancelling(const svbrdf_gcn_capture *capture, const svbrdf_gcn_mater
         OK(svbrdf_gcn_capture_photo(capture, 0, &pixels));
         OK(svbrdf_gcn_capture_shot(capture, 0, &shot));
         OK(svbrdf_gcn_capture_add_photo(made, &pixels, &shot));
+        CHECK(svbrdf_gcn_capture_photo_count(made) == 1);
         OK(svbrdf_gcn_cancel_token_cancel(token));
         FAILS(svbrdf_gcn_capture_add_photo(made, &pixels, &shot), SVBRDF_GCN_CANCELLED, "cancelled");
         CHECK(svbrdf_gcn_capture_photo_count(made) == 1);

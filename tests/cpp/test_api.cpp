@@ -227,6 +227,9 @@ int main(int argc, char **argv) try {
     CHECK(throws(SVBRDF_GCN_ERR_IO, "/dev/null", [&] { material.export_to("/dev/null/x", ExportTarget::Unreal, "x", Normals::OpenGl); }));
     CHECK(throws(SVBRDF_GCN_ERR_IO, "/dev/null", [&] { material.save("/dev/null/x", Format::Tiff, ColorSpace::AcesCg); }));
     CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "photo 7", [&] { capture.photo(7); }));
+    CaptureOptions small = capture_options;
+    small.max_memory = 100000;
+    CHECK(throws(SVBRDF_GCN_ERR_OUT_OF_MEMORY, "allowed are 100000", [&] { Capture::open(samples + "/tiles", small); }));
     CaptureOptions none = capture_options;
     none.views = std::vector<std::size_t>{};
     CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "views", [&] { Capture::open(samples + "/tiles", none); }));

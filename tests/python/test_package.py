@@ -512,6 +512,25 @@ def test_cancel_at_the_start_in_the_middle_and_at_the_end(tiles, fitted, at):
     assert bits(fit_material(tiles, **QUICK)) == bits(fitted)
 
 
+def test_what_photos_need_is_known_before_they_are_decoded(tmp_path):
+    folder = large_capture(tmp_path, 12000, 3)
+    assert (folder / "large.png").stat().st_size < 150_000
+    for read in (Capture.open, fit_material):
+        begun = time.monotonic()
+        with pytest.raises(MemoryError, match=r"max_memory: reading 3 photos of 12000 x 12000 pixels needs about 6\d{9} bytes, allowed are 4294967296: take"):
+            read(folder, max_memory="4G")
+        assert time.monotonic() - begun < 1
+    with pytest.raises(MemoryError, match="max_memory: reading 2 photos of 512 x 512 pixels .* allowed are 5242880"):
+        Capture(np.zeros((2, 512, 512, 3), np.uint8), camera_positions=[[0, 0, 9]] * 2, patch_size=1, light_intensity=9, transfer="srgb", max_memory="5M")
+    for wrong, error, said in [
+        ("2 GB", ArgumentError, "max_memory: expected bytes such as 4000000000, 500M"),
+        (-1, ArgumentError, "max_memory: expected an integer of 0 or more, got -1"),
+        (1.5, FormatError, "max_memory: expected an integer or a text such as '2G', got 1.5"),
+    ]:
+        with pytest.raises(error, match=said):
+            Capture.open(TILES, max_memory=wrong)
+
+
 def test_cancel_stops_the_reading_of_photos():
     token = CancelToken()
     photos, scene = np.zeros((2, 8, 8, 3), np.uint8), {"camera_positions": [[0, 0, 9]] * 2, "patch_size": 1, "light_intensity": 9}

@@ -7,8 +7,8 @@
 mod layout;
 
 use std::path::{Path, PathBuf};
-
-use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use crate::cancel::CancelToken;
 use crate::color::{ColorSpace, Transfer, apply_to_image};
@@ -16,7 +16,7 @@ use crate::error::{Error, Result, printable};
 use crate::image::Image;
 use crate::io::profile::{Decoding, FileColors, Stated};
 use crate::io::resize::{fit_size, shrink};
-use crate::io::{Pixels, RowReader, Samples, read_stored};
+use crate::io::{Demand, Pixels, RowReader, Samples, demand, read_stored};
 use crate::unit::Unit;
 use crate::{memory, pool};
 
@@ -112,6 +112,10 @@ pub struct CaptureOptions {
     pub ignore_profiles: bool,
     /// Stops the reading from another thread.
     pub cancel: CancelToken,
+    /// The most bytes of the run; see [`CaptureOptions::max_memory`].
+    pub max_memory: Option<u64>,
+    /// Bytes of them that are taken; see [`CaptureOptions::in_use`].
+    pub in_use: u64,
 }
 
 impl CaptureOptions {
@@ -161,6 +165,20 @@ impl CaptureOptions {
     /// Stops the reading once `token` is cancelled, also while a photo is decoded: it ends with [`Error::Cancelled`].
     pub fn cancel(mut self, token: CancelToken) -> Self {
         self.cancel = token;
+        self
+    }
+
+    /// The most bytes that the run may use, the reading of photos included; three quarters of the free memory if not given.
+    ///
+    /// What photos need is known from the headers of their files, before any is decoded. Fewer are read at a time where all at once would need more.
+    pub fn max_memory(mut self, bytes: u64) -> Self {
+        self.max_memory = Some(bytes);
+        self
+    }
+
+    /// Bytes that the run holds already and that count against [`CaptureOptions::max_memory`]: of photos read before, of a material.
+    pub fn in_use(mut self, bytes: u64) -> Self {
+        self.in_use = bytes;
         self
     }
 }
@@ -213,14 +231,27 @@ impl Encoding {
 }
 
 /// Photos of one sample, all of the same size.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Capture {
     photos: Vec<Photo>,
     patch_size: f64,
     transfer: Transfer,
     unit: Option<Unit>,
     warnings: Vec<String>,
+    /// Estimated bytes at the peak of the reading.
+    reading: u64,
 }
+
+impl PartialEq for Capture {
+    /// Whether what was read is the same; what the reading took does not count.
+    fn eq(&self, other: &Self) -> bool {
+        let parts = |c: &Self| (c.patch_size, c.transfer, c.unit.clone());
+        parts(self) == parts(other) && self.photos == other.photos && self.warnings == other.warnings
+    }
+}
+
+/// Bytes of a photo's pixel: linear RGB, and what is saturated.
+const PIXEL_BYTES: u64 = 3 * 4 + 1;
 
 impl Capture {
     /// Reads a capture: a folder in the layout of MaterialGAN and the paper (`0.png` or `00.png` ..., `camera_pos.txt`,
@@ -306,13 +337,16 @@ impl Capture {
             Some(views) => check_views(views, entries.len())?.iter().map(|&view| &entries[view]).collect(),
             None => entries.iter().collect(),
         };
-        let loaded = all(&selected, &options.cancel, |entry| {
+        // Of what is no photo the reading says what is wrong.
+        let demand = |entry: &&Entry| demand(&entry.path, &options.cancel).ok();
+        let load = |entry: &&Entry| {
             let stored = read_stored(&entry.path, &options.cancel)?;
             let (pixels, colors) = (stored.pixels(), stored.colors.as_ref());
             let photo = develop(&entry.name, entry.shot, pixels, colors, encoding, options)?;
             Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
-        })?;
-        Self::assemble(loaded, patch_size, unit, options.size)
+        };
+        let (loaded, reading) = read_all(&selected, demand, load, options)?;
+        Self::assemble(loaded, patch_size, unit, options.size, reading)
     }
 
     /// A capture from photos in memory, with the checks of [`Capture::open_with`].
@@ -361,12 +395,18 @@ impl Capture {
             Some(views) => check_views(views, photos.len())?.iter().map(|&view| &photos[view]).collect(),
             None => photos.iter().collect(),
         };
-        let loaded = all(&selected, &options.cancel, |photo| {
-            let PhotoPixels { name, shot, width, height, channels, samples } = *photo;
+        // The host's pixels are its own.
+        let demand = |photo: &&PhotoPixels<'_>| {
+            let (size, colors) = ((photo.width, photo.height), if photo.channels >= 3 { 3 } else { 1 });
+            Some(Demand { size, colors, stored: 0, decoding: 0 })
+        };
+        let load = |photo: &&PhotoPixels<'_>| {
+            let PhotoPixels { name, shot, width, height, channels, samples } = **photo;
             let pixels = Pixels { width, height, channels, samples };
             develop(name, shot, pixels, None, encoding, options)
-        })?;
-        Self::assemble(loaded, patch_size, None, options.size)
+        };
+        let (loaded, reading) = read_all(&selected, demand, load, options)?;
+        Self::assemble(loaded, patch_size, None, options.size, reading)
     }
 
     /// A capture from photos that are linear Rec. 709 already; `transfer` says how they were stored before.
@@ -394,10 +434,16 @@ impl Capture {
                 Loaded { photo, transfer, full_size, notes: Vec::new() }
             })
             .collect();
-        Self::assemble(loaded, patch_size, None, None)
+        Self::assemble(loaded, patch_size, None, None, 0)
     }
 
-    fn assemble(loaded: Vec<Loaded>, patch_size: f64, unit: Option<Unit>, size: Option<usize>) -> Result<Self> {
+    fn assemble(
+        loaded: Vec<Loaded>,
+        patch_size: f64,
+        unit: Option<Unit>,
+        size: Option<usize>,
+        reading: u64,
+    ) -> Result<Self> {
         let Some(first) = loaded.first() else {
             return Err(Error::invalid("capture", "expected at least one photo, got 0"));
         };
@@ -428,7 +474,7 @@ impl Capture {
             warnings.push(printable(format_args!("{}: {note}", names.join(", "))));
         }
         let photos = loaded.into_iter().map(|loaded| loaded.photo).collect();
-        Ok(Self { photos, patch_size, transfer, unit, warnings })
+        Ok(Self { photos, patch_size, transfer, unit, warnings, reading })
     }
 
     /// Adds the photos of `other`, for hosts that hand them over one at a time.
@@ -458,6 +504,7 @@ impl Capture {
         let new = other.warnings.into_iter().filter(|warning| !self.warnings.contains(warning)).collect::<Vec<_>>();
         self.warnings.extend(new);
         self.photos.extend(other.photos);
+        self.reading = self.reading.max(other.reading);
         Ok(())
     }
 
@@ -502,6 +549,16 @@ impl Capture {
     /// The length unit, where the capture states it.
     pub fn unit(&self) -> Option<&Unit> {
         self.unit.as_ref()
+    }
+
+    /// Bytes of its photos in memory.
+    pub fn memory(&self) -> u64 {
+        PIXEL_BYTES * (self.len() * self.width() * self.height()) as u64
+    }
+
+    /// Estimated bytes at the peak of the reading.
+    pub(crate) fn reading_memory(&self) -> u64 {
+        self.reading
     }
 
     /// What a user should know about how the capture was read.
@@ -642,17 +699,76 @@ fn check_finite(name: &str, values: &[f32], row: usize) -> Result<()> {
     }
 }
 
-/// Loads photos on threads of our own, until `cancel` is cancelled. Of several bad ones the first is reported, every time.
-fn all<T: Sync>(
-    photos: &[&T],
-    cancel: &CancelToken,
-    load: impl Fn(&T) -> Result<Loaded> + Sync + Send,
-) -> Result<Vec<Loaded>> {
+/// Loads photos on threads of our own, as many at a time as the budget of the run allows. Also the estimated bytes at the peak.
+///
+/// `demand` says what a photo takes, nothing for what is none; of several bad ones the first is reported, every time.
+///
+/// # Errors
+/// [`Error::OutOfMemory`] before any is loaded, if there is not the memory for them one after the other; [`Error::Cancelled`]; what `load` returns.
+fn read_all<T: Sync>(
+    photos: &[T],
+    demand: impl Fn(&T) -> Option<Demand> + Sync,
+    load: impl Fn(&T) -> Result<Loaded> + Sync,
+    options: &CaptureOptions,
+) -> Result<(Vec<Loaded>, u64)> {
     check_count(photos.len())?;
-    let load = |photo: &&T| cancel.check().and_then(|()| load(photo));
-    let loaded = pool::inside(|| Ok(photos.par_iter().map(load).collect::<Vec<_>>()))?;
+    let cancel = &options.cancel;
     cancel.check()?;
-    loaded.into_iter().collect()
+    pool::inside(|| {
+        let demands: Vec<Demand> =
+            all(photos, photos.len(), |photo| Ok(demand(photo)))?.into_iter().flatten().collect();
+        cancel.check()?;
+        let (at_a_time, bytes) = plan(&demands, options)?;
+        let loaded = all(photos, at_a_time, |photo| cancel.check().and_then(|()| load(photo)));
+        cancel.check()?;
+        Ok((loaded?, bytes))
+    })
+}
+
+/// How many photos that make `demands` are read at a time within the budget, and the estimated bytes at the peak, those in use before included.
+fn plan(demands: &[Demand], options: &CaptureOptions) -> Result<(usize, u64)> {
+    let pixels = |&Demand { size: (width, height), .. }: &Demand| {
+        let (width, height) = fit_size(width, height, options.size);
+        (width as u64).saturating_mul(height as u64)
+    };
+    let kept = demands.iter().map(|demand| PIXEL_BYTES * pixels(demand)).sum::<u64>();
+    let beside = |demand: &Demand| {
+        // Grey becomes colour while the grey values are still there.
+        let grey = if demand.colors == 1 { 4 * pixels(demand) } else { 0 };
+        (demand.stored + grey).max(demand.decoding.saturating_sub(PIXEL_BYTES * pixels(demand)))
+    };
+    // A quarter of it for each photo: its tables and the decoder's.
+    let beside = demands.iter().map(beside).max().unwrap_or(0) + memory::SMALL / 4;
+    let bytes = |at_a_time: usize| options.in_use.saturating_add(kept).saturating_add(beside * at_a_time as u64);
+    let allowed = memory::allowed(options.max_memory, options.in_use);
+    let (width, height) = demands.first().map_or((0, 0), |demand| demand.size);
+    memory::check(&format!("reading {} photos of {width} x {height} pixels", demands.len()), bytes(1), allowed)?;
+    let at_most = rayon::current_num_threads().min(demands.len()).max(1);
+    let at_a_time = (1..=at_most).rev().find(|&count| bytes(count) <= allowed).unwrap_or(1);
+    Ok((at_a_time, bytes(at_a_time)))
+}
+
+/// What `work` makes of all photos, of `at_a_time` at a time, in their order; of its errors the first.
+fn all<T: Sync, U: Send>(photos: &[T], at_a_time: usize, work: impl Fn(&T) -> Result<U> + Sync) -> Result<Vec<U>> {
+    let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::with_capacity(photos.len())));
+    let take_next = || {
+        let index = next.fetch_add(1, Ordering::Relaxed);
+        photos.get(index).map(|photo| (index, photo))
+    };
+    rayon::scope(|scope| {
+        for _ in 0..at_a_time.min(photos.len()) {
+            // Not a parallel iterator: whoever waits for the rows of one photo would begin with the next one.
+            scope.spawn(|_| {
+                while let Some((index, photo)) = take_next() {
+                    let result = work(photo);
+                    done.lock().unwrap_or_else(PoisonError::into_inner).push((index, result));
+                }
+            });
+        }
+    });
+    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+    done.sort_by_key(|(index, _)| *index);
+    done.into_iter().map(|(_, result)| result).collect()
 }
 
 /// # Errors

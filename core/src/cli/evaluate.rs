@@ -9,7 +9,7 @@ use super::{CaptureArgs, load_material, say, say_json};
 use crate::cancel::CancelToken;
 use crate::error::{Error, Result, printable};
 use crate::metrics::{MapErrors, photo_rmse, photo_rmse_smooth_gain};
-use crate::render::render_photo;
+use crate::render::{render_photo, rendering_memory};
 
 #[derive(Args)]
 pub struct EvaluateArgs {
@@ -46,9 +46,10 @@ struct PhotoError {
 }
 
 pub fn run(args: &EvaluateArgs, cancel: &CancelToken) -> Result<()> {
-    let material = load_material(&args.material, cancel)?;
+    let budget = &args.capture.budget;
+    let material = load_material(&args.material, budget, cancel)?;
     let size = material.width().max(material.height());
-    let capture = args.capture.open(Some(size), cancel)?;
+    let capture = args.capture.open(Some(size), material.memory(), cancel)?;
     if (capture.width(), capture.height()) != (material.width(), material.height()) {
         return Err(Error::shape(
             args.capture.capture.display().to_string(),
@@ -60,6 +61,8 @@ pub fn run(args: &EvaluateArgs, cancel: &CancelToken) -> Result<()> {
             format!("{} x {}", capture.width(), capture.height()),
         ));
     }
+    let in_use = material.memory() + capture.memory();
+    budget.check("comparing renderings with photos", capture.memory() + rendering_memory(&material), in_use)?;
     let photos = capture
         .photos()
         .iter()
@@ -78,7 +81,7 @@ pub fn run(args: &EvaluateArgs, cancel: &CancelToken) -> Result<()> {
     let (rmse, rmse_smooth_gain) = (mean(|photo| photo.rmse), mean(|photo| photo.rmse_smooth_gain));
     let maps = match &args.truth {
         Some(truth) => {
-            let truth = load_material(truth, cancel)?;
+            let truth = load_material(truth, budget, cancel)?;
             Some(MapErrors::between(&material, &truth.resized(size)?)?)
         }
         None => None,

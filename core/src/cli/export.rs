@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use super::{load_material, say, say_json};
+use super::{Budget, load_material, say, say_json};
 use crate::cancel::CancelToken;
 use crate::error::Result;
 use crate::export::principled::Loss;
@@ -29,6 +29,8 @@ pub struct ExportArgs {
     /// Print one JSON object instead of text.
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    budget: Budget,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -66,7 +68,8 @@ impl ExportArgs {
 }
 
 pub fn run(args: &ExportArgs, cancel: &CancelToken) -> Result<()> {
-    let material = load_material(&args.material, cancel)?;
+    let material = load_material(&args.material, &args.budget, cancel)?;
+    args.budget.check("exporting", args.options().memory(&material), material.memory())?;
     let report = material.export_unless(&args.out, &args.options(), cancel)?;
     if args.json { say_json(&report) } else { say(&summary(&report)) }
 }

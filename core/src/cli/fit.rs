@@ -56,9 +56,6 @@ pub struct FitArgs {
     /// Take every step, also when the loss has flattened.
     #[arg(long)]
     no_early_stop: bool,
-    /// Most bytes the run may use; three quarters of the free memory if not given.
-    #[arg(long, allow_negative_numbers = true, value_name = "BYTES")]
-    max_memory: Option<u64>,
     /// Seed of everything random.
     #[arg(long, allow_negative_numbers = true, default_value_t = 0)]
     seed: u64,
@@ -113,7 +110,7 @@ impl FitArgs {
         options.adapter_steps = self.adapter_steps;
         options.direct_steps = self.direct_steps;
         options.finish_steps = self.finish_steps;
-        options.max_memory = self.max_memory;
+        options.max_memory = self.capture.budget.max_memory;
         options.seed = self.seed;
         options.threads = self.threads;
         options.early_stop = self.no_early_stop.then_some(false);
@@ -141,7 +138,7 @@ pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
         keep(&args.out.join(name), "a photo that this command reads", photos.clone())?;
     }
     material::check_folder(&args.out, args.format())?;
-    let capture = args.capture.open(args.size, cancel)?;
+    let capture = args.capture.open(args.size, 0, cancel)?;
     let model = args.weights.as_deref().map(|path| Model::load_for(path, capture.len())).transpose()?;
     let mut bar = Bar::new(args.quiet || args.json);
     let fit = fit_material(&capture, model.as_ref(), &args.fit_options(cancel.clone()), &mut |progress| {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::{load_material, say, say_json};
+use super::{Budget, load_material, say, say_json};
 use crate::cancel::CancelToken;
 use crate::error::{Error, Result, printable};
 use crate::io::describe::{describe, is_image};
@@ -35,7 +35,7 @@ pub fn run(args: &InfoArgs, cancel: &CancelToken) -> Result<()> {
 }
 
 fn material(args: &InfoArgs, cancel: &CancelToken) -> Result<Value> {
-    let material = load_material(&args.file, cancel)?;
+    let material = load_material(&args.file, &Budget { max_memory: None }, cancel)?;
     Ok(json!({
         "kind": "material",
         "width": material.width(),

@@ -22,6 +22,7 @@ use crate::error::{Error, Result, printable};
 use crate::io::describe::describe;
 use crate::io::material::{LoadOptions, MATERIAL_JSON};
 use crate::material::Material;
+use crate::memory::{self, parse_bytes};
 
 /// Material maps from flash photos.
 #[derive(Parser)]
@@ -73,6 +74,24 @@ struct CaptureArgs {
     /// Read photos as if their files held no colour profiles.
     #[arg(long)]
     ignore_profiles: bool,
+    #[command(flatten)]
+    budget: Budget,
+}
+
+/// What a command may use.
+#[derive(Args)]
+struct Budget {
+    /// Most bytes the run may use, reading included, such as 4000000000, 500M or 2G; three quarters of the free memory if not given.
+    #[arg(long, value_parser = parse_bytes, value_name = "BYTES", allow_negative_numbers = true)]
+    max_memory: Option<u64>,
+}
+
+impl Budget {
+    /// # Errors
+    /// [`Error::OutOfMemory`] if `what` needs more in all than is allowed; `in_use` bytes of it are taken already.
+    fn check(&self, what: &str, needed: u64, in_use: u64) -> Result<()> {
+        memory::check(what, needed, memory::allowed(self.max_memory, in_use))
+    }
 }
 
 impl CaptureArgs {
@@ -93,8 +112,9 @@ impl CaptureArgs {
         Ok(&self.capture)
     }
 
-    fn open(&self, size: Option<usize>, cancel: &CancelToken) -> Result<Capture> {
-        Capture::open_with(self.path()?, &self.options(size).cancel(cancel.clone()))
+    /// The capture, beside `in_use` bytes of the budget.
+    fn open(&self, size: Option<usize>, in_use: u64, cancel: &CancelToken) -> Result<Capture> {
+        Capture::open_with(self.path()?, &self.options(size).in_use(in_use).cancel(cancel.clone()))
     }
 
     fn options(&self, size: Option<usize>) -> CaptureOptions {
@@ -104,6 +124,7 @@ impl CaptureArgs {
         options.transfer = self.transfer.map(Transfer::from);
         options.color_space = self.color_space.map(ColorSpace::from);
         options.ignore_profiles = self.ignore_profiles;
+        options.max_memory = self.budget.max_memory;
         options
     }
 }
@@ -212,9 +233,9 @@ fn exit_code(error: &Error) -> i32 {
 }
 
 /// A material folder, with what there is to say about how it was read, or about what is there instead.
-fn load_material(folder: &Path, cancel: &CancelToken) -> Result<Material> {
-    let material = Material::load_unless(folder, &LoadOptions::new(), cancel).map_err(|error| {
-        if matches!(error, Error::Cancelled) || !folder.exists() || folder.join(MATERIAL_JSON).exists() {
+fn load_material(folder: &Path, budget: &Budget, cancel: &CancelToken) -> Result<Material> {
+    let material = Material::load_within(folder, &LoadOptions::new(), budget.max_memory, cancel).map_err(|error| {
+        if matches!(error, Error::Cancelled | Error::OutOfMemory { .. }) || !folder.exists() || folder.join(MATERIAL_JSON).exists() {
             return error;
         }
         let got = format!(

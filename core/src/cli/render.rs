@@ -5,13 +5,13 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::outputs::keep_maps_and_photos;
-use super::{ColorSpaceArg, TransferArg, Triple, complain, load_material};
+use super::{Budget, ColorSpaceArg, TransferArg, Triple, complain, load_material};
 use crate::cancel::CancelToken;
 use crate::capture::Shot;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::io::write_image_in;
-use crate::render::render;
+use crate::render::{render, rendering_memory};
 
 #[derive(Args)]
 pub struct RenderArgs {
@@ -40,11 +40,13 @@ pub struct RenderArgs {
     /// The picture: .png, .jpg, .tif or .exr.
     #[arg(long, short)]
     out: PathBuf,
+    #[command(flatten)]
+    budget: Budget,
 }
 
 pub fn run(args: &RenderArgs, cancel: &CancelToken) -> Result<()> {
     keep_maps_and_photos(&args.out, &args.material)?;
-    let material = load_material(&args.material, cancel)?;
+    let material = load_material(&args.material, &args.budget, cancel)?;
     let (width, height) = (material.width(), material.height());
     if let Some(size) = args.size.filter(|&size| size > width.max(height)) {
         complain(&format!("warning: size: {size} pixels asked for, maps of {width} x {height} are not enlarged"));
@@ -65,6 +67,7 @@ pub fn run(args: &RenderArgs, cancel: &CancelToken) -> Result<()> {
     let light_intensity = args.light_intensity.map_or([std::f64::consts::PI * distance2; 3], |intensity| intensity.0);
     let light_intensity = color_space.convert(ColorSpace::Rec709, light_intensity);
     let shot = Shot { camera: args.camera.0, light: args.light.0, light_intensity };
+    args.budget.check("rendering", rendering_memory(&material), material.memory())?;
     cancel.check()?;
     let mut picture = render(&material, &shot)?;
     cancel.check()?;

@@ -16,6 +16,8 @@ use serde::Serialize;
 use crate::cancel::CancelToken;
 use crate::error::{Error, Result};
 use crate::material::Material;
+#[cfg(feature = "cli")]
+use crate::memory;
 use principled::{Loss, Principled};
 use writer::Writer;
 
@@ -118,6 +120,20 @@ impl ExportOptions {
     pub fn normals(mut self, normals: NormalConvention) -> Self {
         self.normals = Some(normals);
         self
+    }
+
+    /// Estimated bytes that an export of `material` takes at its peak, those of its maps included.
+    #[cfg(feature = "cli")]
+    pub(crate) fn memory(&self, material: &Material) -> u64 {
+        // Beside the maps and the maps limited to their ranges, as measured (core/tests/memory.rs): what the target has in their place, one of its images
+        // in the making, and the files so far.
+        let pixel = match self.target {
+            ExportTarget::Gltf => 192,
+            ExportTarget::Principled => 188,
+            ExportTarget::MaterialX | ExportTarget::Unreal => 148,
+        };
+        let pixel = if material.tangent.is_some() { pixel * 5 / 4 } else { pixel };
+        2 * material.memory() + pixel * (material.width() * material.height()) as u64 + memory::SMALL
     }
 
     fn check(&self) -> Result<NormalConvention> {

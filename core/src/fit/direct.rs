@@ -18,7 +18,7 @@ use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::cluster::{Membership, soft_groups};
 use crate::fit::descent::{Descent, Settings, descend};
-use crate::fit::holdout::{REHEARSAL_SIDE, left_out, thinned, thinned_planes};
+use crate::fit::holdout::{REHEARSAL_SIDE, grid, left_out, thinned, thinned_planes};
 use crate::fit::light;
 use crate::fit::options::FitOptions;
 use crate::fit::progress::{CancelToken, Control, Progress, Stage};
@@ -198,6 +198,29 @@ pub(crate) fn correct(
     let (maps, descent) = problem.fit(steps, [0; 2], control)?;
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
     Ok(maps)
+}
+
+/// Estimated bytes that [`fit_direct`] takes for photos of this size: encoded photos, slopes, groups and starts of pixels, and either the search, the descent or,
+/// where there is a `relief`, the rehearsals, which hold the photos of a part of the pixels several times, and search and descend there.
+pub(crate) fn memory(photos: usize, size: (usize, usize), relief: bool) -> u64 {
+    // Parameters with gradient, best state and Adam's two moments; the maps, their gradient, those of the round before, and gradients by logits; as much
+    // more as the system was seen to keep of what is freed.
+    const DESCENT: u64 = 4 * (5 * 7 + 3 * 10 + 7 + 8);
+    // Slopes twice, memberships, diffuse albedo, specular albedo and roughness.
+    const PROBLEM: u64 = 4 * (2 * 2 + 3 + 4) + size_of::<Membership>() as u64;
+    let pixels = |(width, height): (usize, usize)| (width * height) as u64;
+    let encoded = |(width, height): (usize, usize)| Target::memory(width, height);
+    let working = |size: (usize, usize)| (DESCENT * pixels(size)).max(search::memory(photos, GROUPS));
+    let rehearsal = if relief && photos > 2 {
+        let ([across, down], _) = grid(size.0, size.1, REHEARSAL_SIDE);
+        let part = (across, down);
+        // The photos themselves, encoded, of every rehearsal, and of the one that runs.
+        let copies = (REHEARSALS.min(photos) + 3) as u64 * photos as u64;
+        copies * encoded(part) + PROBLEM * pixels(part) + working(part)
+    } else {
+        0
+    };
+    photos as u64 * encoded(size) + PROBLEM * pixels(size) + working(size).max(rehearsal)
 }
 
 /// Whether photos that are left out are predicted better with `relief` than from a flat surface, on a part of the pixels.

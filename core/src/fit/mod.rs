@@ -39,6 +39,7 @@ use contradiction::contradicting;
 pub use deviations::Deviations;
 use direct::{Direct, fit_direct, fit_without};
 use finish::LEFT_OUT;
+use memory::Estimate;
 use network::fit_network;
 use options::{FitOptions, Method};
 use predicted::{Predicted, fit_predicted};
@@ -81,8 +82,11 @@ pub fn fit_material(
     let way = Way::of(model, capture.len())?;
     let pool = pool(options.threads)?;
     // The need depends on the number of threads.
-    let needed = pool.install(|| memory::estimate(capture, way));
-    crate::memory::check("the run", needed, crate::memory::allowed(options.max_memory))?;
+    let Estimate { in_use, peak } = pool.install(|| memory::estimate(capture, model, way));
+    let (width, height, photos) = (capture.width(), capture.height(), capture.len());
+    let what = format!("a fit to {photos} photos of {width} x {height} pixels");
+    crate::memory::check(&what, peak, crate::memory::allowed(options.max_memory, in_use))?;
+    let memory_estimate = peak.max(capture.reading_memory());
     on_pool(&pool, options.cancel.clone(), progress, |control| {
         let mut warnings = [capture.warnings(), &conditions::warnings(capture)].concat();
         let mut stages = Vec::new();
@@ -138,6 +142,7 @@ pub fn fit_material(
             photo_deviation: belief.map(|belief| belief.photo_deviation),
             believed_shares: belief.map(|belief| belief.shares),
             verdict,
+            memory_estimate,
             seconds: started.elapsed().as_secs_f64(),
             warnings,
         };

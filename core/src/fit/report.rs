@@ -76,6 +76,8 @@ pub struct FitReport {
     /// What may be expected of the maps: `verdict`, `expected_error`, `material_error`, `estimated` and `reasons` in files.
     #[serde(flatten)]
     pub verdict: Verdict,
+    /// Estimated bytes at the peak of the run, from the reading of photos on, as they were compared with `max_memory`.
+    pub memory_estimate: u64,
     /// Wall-clock seconds of the whole fit.
     pub seconds: f64,
     /// What the user should know, the capture's own warnings first.

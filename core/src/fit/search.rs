@@ -137,6 +137,11 @@ impl Search<'_> {
     }
 }
 
+/// Estimated bytes that [`search`] takes.
+pub(super) fn memory(photos: usize, groups: usize) -> u64 {
+    (groups * GROUP_PIXELS * photos.min(PHOTOS) * size_of::<View>()) as u64
+}
+
 /// For each of `groups` colour groups the values that explain the photos best, and the tilt that all share.
 pub(super) fn search(
     capture: &Capture,

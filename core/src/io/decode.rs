@@ -1,6 +1,6 @@
 //! Image files as their stored pixels.
 
-use std::io::Cursor;
+use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
 use image::codecs::png::PngDecoder;
@@ -11,7 +11,7 @@ use zune_jpeg::errors::DecodeErrors;
 use zune_jpeg::zune_core::colorspace::ColorSpace as JpegColors;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use super::file::read_file_unless;
+use super::file::{self, read_file_unless};
 use super::profile::{Decoding, FileColors};
 use super::{exr, jpeg, tiff};
 use crate::cancel::{CancelToken, Cancellable};
@@ -27,6 +27,10 @@ pub const MAX_DECODED_BYTES: u64 = 1 << 30;
 /// A header that promises more than that lies, and nothing is allocated for it.
 const MAX_COMPRESSION: u64 = 2048;
 const SMALL_FILE: u64 = 1 << 16;
+/// The largest file that is read.
+const MAX_FILE_BYTES: u64 = MAX_DECODED_BYTES + SMALL_FILE;
+/// What the decoder of PNG holds: rows, and a window of what was unpacked.
+const PNG_BESIDE: u64 = 1 << 18;
 
 /// Integer samples from here on are saturated: 98 % of the top code. Compression and resampling smear what a camera clipped over the codes below the
 /// top one (half of the clipped pixels of a JPEG-compressed capture lie there), and a highlight that is believed to end at 99 % has the wrong shape and colour.
@@ -253,9 +257,77 @@ impl<'a> RowReader<'a> {
     }
 }
 
+/// What reading an image file takes, as its header says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Demand {
+    /// Columns and rows of the picture as it is read.
+    pub size: (usize, usize),
+    /// 1 for grey, 3 for colour.
+    pub colors: usize,
+    /// Bytes of its pixels as they are stored.
+    pub stored: u64,
+    /// Bytes at the peak of decoding: the file, what the decoder holds, the pixels, and a second time those of a picture that is turned.
+    pub decoding: u64,
+}
+
+impl Demand {
+    /// `beside` are bytes that are held beside the pixels while they are decoded.
+    pub fn new(size: (usize, usize), colors: usize, stored: u64, beside: u64, orientation: Orientation) -> Self {
+        let (width, height) = size;
+        let size = if swaps_axes(orientation) { (height, width) } else { size };
+        let turned = if orientation == Orientation::NoTransforms { 0 } else { stored };
+        Self { size, colors, stored, decoding: beside + stored + turned }
+    }
+}
+
+/// What reading the image file `path` takes. No more than its header is looked at; a TIFF, whose header may be anywhere, is read.
+///
+/// # Errors
+/// As [`read_stored`], but for what is wrong with the pixels.
+pub(crate) fn demand(path: &Path, cancel: &CancelToken) -> Result<Demand> {
+    let (file, len) = file::open(path)?;
+    let mut reader = BufReader::new(Cancellable::new(file, cancel));
+    match Kind::of(reader.fill_buf().map_err(|e| Error::io(path, e))?) {
+        Some(Kind::Tiff) => demand_of_bytes(path, &read_file_unless(path, MAX_FILE_BYTES, cancel)?, cancel),
+        _ => demand_of(path, reader, len),
+    }
+}
+
+/// [`demand`] of the bytes of a file.
+///
+/// # Errors
+/// As [`demand`].
+pub(crate) fn demand_of_bytes(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Demand> {
+    match Kind::of(bytes) {
+        Some(Kind::Tiff) => tiff::demand(path, bytes, cancel),
+        _ => demand_of(path, Cursor::new(bytes), bytes.len() as u64),
+    }
+}
+
+/// [`demand`] of what is no TIFF.
+fn demand_of(path: &Path, mut reader: impl BufRead + Seek, len: u64) -> Result<Demand> {
+    let start = reader.fill_buf().map_err(|e| Error::io(path, e))?;
+    match Kind::of(start) {
+        Some(Kind::Png) => {
+            let (decoder, header) = open_png(path, reader, len)?;
+            let colors = if decoder.color_type().has_color() { 3 } else { 1 };
+            Ok(header.demand(colors, len + PNG_BESIDE))
+        }
+        Some(Kind::Jpeg) => {
+            let (decoder, header) = open_jpeg(path, reader, len)?;
+            let progressive = decoder.info().is_some_and(|info| info.sof.is_progressive());
+            // Progressive files unfold into the coefficients of the whole picture.
+            let (channels, samples) = (header.bytes_per_pixel, header.width * header.height * header.bytes_per_pixel);
+            Ok(header.demand(channels, len + if progressive { 2 * samples as u64 } else { 0 }))
+        }
+        Some(Kind::OpenExr) => exr::demand(path, reader, len),
+        Some(Kind::Tiff) | None => Err(not_read(path, start)),
+    }
+}
+
 /// Reads and decodes the file `path`, until `cancel` is cancelled.
 pub(crate) fn read_stored(path: &Path, cancel: &CancelToken) -> Result<Stored> {
-    decode(path, &read_file_unless(path, MAX_DECODED_BYTES + SMALL_FILE, cancel)?, cancel)
+    decode(path, &read_file_unless(path, MAX_FILE_BYTES, cancel)?, cancel)
 }
 
 /// Decodes the bytes of an image file, until `cancel` is cancelled; `path` is its name in messages.
@@ -267,30 +339,56 @@ pub(crate) fn decode(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<
 }
 
 fn decode_by_kind(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
-    match bytes {
-        [] => Err(broken(path, "the file is empty")),
-        [0x89, b'P', b'N', b'G', ..] => decode_png(path, bytes, cancel),
-        [0xff, 0xd8, 0xff, ..] => decode_jpeg(path, bytes, cancel),
-        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff::decode(path, bytes, cancel),
-        [0x76, 0x2f, 0x31, 0x01, ..] => exr::decode(path, bytes, cancel),
-        _ => match known_by_name(bytes) {
-            Some(kind) => Err(unsupported(path, kind)),
-            None => {
-                let start: Vec<String> = bytes.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
-                Err(unsupported(path, format!("starts with {}; read are PNG, JPEG, TIFF and OpenEXR", start.join(" "))))
-            }
-        },
+    match Kind::of(bytes) {
+        Some(Kind::Png) => decode_png(path, bytes, cancel),
+        Some(Kind::Jpeg) => decode_jpeg(path, bytes, cancel),
+        Some(Kind::Tiff) => tiff::decode(path, bytes, cancel),
+        Some(Kind::OpenExr) => exr::decode(path, bytes, cancel),
+        None => Err(not_read(path, bytes)),
     }
 }
 
-/// What an image file that is read is called, by its first bytes.
-pub(super) fn kind(start: &[u8]) -> Option<&'static str> {
-    match start {
-        [0x89, b'P', b'N', b'G', ..] => Some("a PNG"),
-        [0xff, 0xd8, 0xff, ..] => Some("a JPEG"),
-        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Some("a TIFF"),
-        [0x76, 0x2f, 0x31, 0x01, ..] => Some("an OpenEXR"),
-        _ => None,
+/// What is wrong with a file of none of the [`Kind`]s.
+fn not_read(path: &Path, bytes: &[u8]) -> Error {
+    match known_by_name(bytes) {
+        _ if bytes.is_empty() => broken(path, "the file is empty"),
+        Some(kind) => unsupported(path, kind),
+        None => {
+            let start: Vec<String> = bytes.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+            unsupported(path, format!("starts with {}; read are PNG, JPEG, TIFF and OpenEXR", start.join(" ")))
+        }
+    }
+}
+
+/// The image files that are read.
+#[derive(Clone, Copy)]
+pub(super) enum Kind {
+    Png,
+    Jpeg,
+    Tiff,
+    OpenExr,
+}
+
+impl Kind {
+    /// By the first bytes of a file.
+    pub fn of(start: &[u8]) -> Option<Self> {
+        match start {
+            [0x89, b'P', b'N', b'G', ..] => Some(Self::Png),
+            [0xff, 0xd8, 0xff, ..] => Some(Self::Jpeg),
+            [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Some(Self::Tiff),
+            [0x76, 0x2f, 0x31, 0x01, ..] => Some(Self::OpenExr),
+            _ => None,
+        }
+    }
+
+    /// What such a file is called.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Png => "a PNG",
+            Self::Jpeg => "a JPEG",
+            Self::Tiff => "a TIFF",
+            Self::OpenExr => "an OpenEXR",
+        }
     }
 }
 
@@ -324,7 +422,7 @@ pub(super) fn unsupported(path: &Path, got: impl Into<String>) -> Error {
 }
 
 /// Refuses an image whose pixels are more than is read, or more than its file can hold, before anything is allocated for it.
-pub(super) fn check_size(path: &Path, width: u64, height: u64, bytes_per_pixel: u64, file_bytes: usize) -> Result<()> {
+pub(super) fn check_size(path: &Path, width: u64, height: u64, bytes_per_pixel: u64, file_bytes: u64) -> Result<()> {
     let name = || path.display().to_string();
     let needed = width.checked_mul(height).and_then(|n| n.checked_mul(bytes_per_pixel));
     if width == 0 || height == 0 {
@@ -348,21 +446,57 @@ pub(super) fn check_size(path: &Path, width: u64, height: u64, bytes_per_pixel: 
 }
 
 /// More bytes than a file of this size can decode to.
-pub(super) fn plausible_bytes(file_bytes: usize) -> u64 {
-    (file_bytes as u64).saturating_mul(MAX_COMPRESSION).saturating_add(SMALL_FILE)
+pub(super) fn plausible_bytes(file_bytes: u64) -> u64 {
+    file_bytes.saturating_mul(MAX_COMPRESSION).saturating_add(SMALL_FILE)
+}
+
+/// What the header of a PNG or a JPEG says.
+struct Header {
+    width: usize,
+    height: usize,
+    bytes_per_pixel: usize,
+    orientation: Orientation,
+    colors: Option<FileColors>,
+}
+
+impl Header {
+    fn new(
+        path: &Path,
+        (width, height): (usize, usize),
+        bytes_per_pixel: usize,
+        file_bytes: u64,
+        (exif, profile): (Option<&[u8]>, Option<Vec<u8>>),
+    ) -> Result<Self> {
+        check_size(path, width as u64, height as u64, bytes_per_pixel as u64, file_bytes)?;
+        let exif = exif.map(tiff::Exif::read).unwrap_or_default();
+        let profile = profile.filter(|profile| !profile.is_empty()).map(FileColors::Icc);
+        let orientation = exif.orientation.unwrap_or(Orientation::NoTransforms);
+        Ok(Self { width, height, bytes_per_pixel, orientation, colors: profile.or(exif.colors) })
+    }
+
+    /// What reading takes that holds `beside` bytes beside the pixels, the file's among them.
+    fn demand(&self, colors: usize, beside: u64) -> Demand {
+        let Self { width, height, bytes_per_pixel, orientation, .. } = *self;
+        let stored = (width * height * bytes_per_pixel) as u64;
+        Demand::new((width, height), colors, stored, beside, orientation)
+    }
+}
+
+fn open_png<R: BufRead + Seek>(path: &Path, reader: R, file_bytes: u64) -> Result<(PngDecoder<R>, Header)> {
+    let mut limits = image::Limits::no_limits();
+    limits.max_alloc = Some(plausible_bytes(file_bytes).min(MAX_DECODED_BYTES));
+    let mut decoder = PngDecoder::with_limits(reader, limits).map_err(|e| image_error(path, e))?;
+    let (width, height) = decoder.dimensions();
+    let (exif, profile) = (decoder.exif_metadata().ok().flatten(), decoder.icc_profile().ok().flatten());
+    let bytes_per_pixel = decoder.color_type().bytes_per_pixel().into();
+    let (size, said) = ((width as usize, height as usize), (exif.as_deref(), profile));
+    let header = Header::new(path, size, bytes_per_pixel, file_bytes, said)?;
+    Ok((decoder, header))
 }
 
 fn decode_png(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
-    let mut limits = image::Limits::no_limits();
-    limits.max_alloc = Some(plausible_bytes(bytes.len()).min(MAX_DECODED_BYTES));
     let reader = Cancellable::new(Cursor::new(bytes), cancel);
-    let mut decoder = PngDecoder::with_limits(reader, limits).map_err(|e| image_error(path, e))?;
-    let (width, height) = decoder.dimensions();
-    let bytes_per_pixel = u64::from(decoder.color_type().bytes_per_pixel());
-    check_size(path, width.into(), height.into(), bytes_per_pixel, bytes.len())?;
-    let exif = decoder.exif_metadata().ok().flatten();
-    let exif = exif.as_deref().map(tiff::Exif::read).unwrap_or_default();
-    let profile = decoder.icc_profile().ok().flatten().filter(|profile| !profile.is_empty()).map(FileColors::Icc);
+    let (decoder, header) = open_png(path, reader, bytes.len() as u64)?;
     let (channels, samples) = match DynamicImage::from_decoder(decoder).map_err(|e| image_error(path, e))? {
         DynamicImage::ImageLuma8(image) => (1, OwnedSamples::U8(image.into_raw())),
         DynamicImage::ImageLumaA8(image) => (2, OwnedSamples::U8(image.into_raw())),
@@ -374,10 +508,9 @@ fn decode_png(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored>
         DynamicImage::ImageRgba16(image) => (4, OwnedSamples::U16(image.into_raw())),
         other => return Err(unsupported(path, format!("{:?} pixels", other.color()))),
     };
-    let colors = png_colors(bytes, profile.or(exif.colors));
-    let (width, height, notes) = (width as usize, height as usize, Vec::new());
-    let stored = Stored { width, height, channels, samples, colors, notes };
-    stored.orient(exif.orientation.unwrap_or(Orientation::NoTransforms), cancel)
+    let Header { width, height, orientation, colors, .. } = header;
+    let (colors, notes) = (png_colors(bytes, colors), Vec::new());
+    Stored { width, height, channels, samples, colors, notes }.orient(orientation, cancel)
 }
 
 /// What the chunks of a PNG say of its colours beside its profile, by their rank: `cICP`, the profile, `sRGB`, `gAMA` and `cHRM`.
@@ -420,29 +553,33 @@ fn png_colors(bytes: &[u8], profile: Option<FileColors>) -> Option<FileColors> {
     Some(FileColors::Chromaticities { chromaticities, gamma, source: "the chunks gAMA and cHRM" })
 }
 
-pub(super) fn decode_jpeg(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
-    let notes = jpeg::check(path, bytes, cancel)?.into_iter().collect();
-    // What is damaged the check has found; the decoder is to agree with what other programs make of the rest.
+fn open_jpeg<R: BufRead + Seek>(path: &Path, reader: R, file_bytes: u64) -> Result<(JpegDecoder<R>, Header)> {
+    // What is damaged the check of its codes finds; of the rest the decoder is to make what other programs do.
     let options = DecoderOptions::default().set_strict_mode(false).set_max_width(usize::MAX).set_max_height(usize::MAX);
-    let reader = Cancellable::new(Cursor::new(bytes), cancel);
     let mut decoder = JpegDecoder::new_with_options(reader, options);
     decoder.decode_headers().map_err(|e| jpeg_error(path, e))?;
-    let (Some((width, height)), Some(stored_as)) = (decoder.dimensions(), decoder.input_colorspace()) else {
+    let (Some(size), Some(stored_as)) = (decoder.dimensions(), decoder.input_colorspace()) else {
         return Err(broken(path, "JPEG without a picture"));
     };
     let (channels, read_as) = match stored_as {
         JpegColors::Luma => (1, JpegColors::Luma),
         _ => (3, JpegColors::RGB),
     };
-    check_size(path, width as u64, height as u64, channels as u64, bytes.len())?;
     decoder.set_options(options.jpeg_set_out_colorspace(read_as));
+    let said = (decoder.exif().map(Vec::as_slice), decoder.icc_profile());
+    let header = Header::new(path, size, channels, file_bytes, said)?;
+    Ok((decoder, header))
+}
+
+pub(super) fn decode_jpeg(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
+    let notes = jpeg::check(path, bytes, cancel)?.into_iter().collect();
+    let reader = Cancellable::new(Cursor::new(bytes), cancel);
+    let (mut decoder, header) = open_jpeg(path, reader, bytes.len() as u64)?;
+    let Header { width, height, bytes_per_pixel: channels, orientation, colors } = header;
     let mut samples = memory::filled(0, width * height * channels)?;
     decoder.decode_into(&mut samples).map_err(|e| jpeg_error(path, e))?;
-    let exif = decoder.exif().map(|exif| tiff::Exif::read(exif)).unwrap_or_default();
-    let profile = decoder.icc_profile().filter(|profile| !profile.is_empty()).map(FileColors::Icc);
-    let (samples, colors) = (OwnedSamples::U8(samples), profile.or(exif.colors));
-    let stored = Stored { width, height, channels, samples, colors, notes };
-    stored.orient(exif.orientation.unwrap_or(Orientation::NoTransforms), cancel)
+    let samples = OwnedSamples::U8(samples);
+    Stored { width, height, channels, samples, colors, notes }.orient(orientation, cancel)
 }
 
 fn jpeg_error(path: &Path, error: DecodeErrors) -> Error {
@@ -537,7 +674,7 @@ mod tests {
         assert!(check_size(path, 4096, 4096, 3, 1 << 20).is_ok());
         assert!(check_size(path, 0, 4, 3, 100).is_err());
         assert!(check_size(path, u64::MAX, 2, 3, 100).is_err());
-        assert!(check_size(path, 30_000, 30_000, 3, usize::MAX).is_err());
+        assert!(check_size(path, 30_000, 30_000, 3, u64::MAX).is_err());
         assert!(check_size(path, 4096, 4096, 3, 1000).is_err());
     }
 }

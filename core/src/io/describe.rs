@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io::Read;
 use std::path::Path;
 
-use super::decode::{kind, read_stored};
+use super::decode::{Kind, read_stored};
 use super::material::MATERIAL_JSON;
 use crate::cancel::CancelToken;
 
@@ -35,7 +35,7 @@ pub(crate) fn is_photo(name: &Path) -> bool {
 /// Whether a file begins as the images do that are read.
 #[cfg(feature = "cli")]
 pub(crate) fn is_image(path: &Path) -> bool {
-    path.is_file() && start_of(path).is_ok_and(|start| kind(&start).is_some())
+    path.is_file() && start_of(path).is_ok_and(|start| Kind::of(&start).is_some())
 }
 
 fn start_of(path: &Path) -> std::io::Result<Vec<u8>> {
@@ -61,7 +61,7 @@ fn folder(path: &Path) -> String {
 
 fn file(path: &Path, len: u64) -> String {
     let Ok(start) = start_of(path) else { return format!("a file of {len} bytes that cannot be read") };
-    if let Some(kind) = kind(&start) {
+    if let Some(kind) = Kind::of(&start).map(Kind::name) {
         return match read_stored(path, &CancelToken::new()) {
             Ok(image) => format!("{kind} image of {} x {} pixels", image.width, image.height),
             Err(_) => format!("{kind} image that cannot be read"),

@@ -1,7 +1,7 @@
 //! OpenEXR, in and out. A file is the picture in its display window; pixels of the display window that the data window leaves
 //! out are black, as the format defines.
 
-use std::io::Cursor;
+use std::io::{Cursor, Read, Seek};
 use std::path::Path;
 
 use exr::image::read::read;
@@ -11,8 +11,9 @@ use exr::math::Vec2;
 use exr::meta::attribute;
 use exr::meta::header::LayerAttributes;
 use exr::prelude::{ReadChannels, ReadLayers, f16};
+use image::metadata::Orientation;
 
-use super::decode::{OwnedSamples, Stored, broken, check_size, unsupported};
+use super::decode::{Demand, OwnedSamples, Stored, broken, check_size, unsupported};
 use super::ours::SOFTWARE;
 use super::profile::FileColors;
 use crate::cancel::{CancelToken, Cancellable};
@@ -40,7 +41,7 @@ fn decode_unguarded(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<S
     for header in reader.headers() {
         let bytes_per_pixel = 4 * header.channels.list.len() as u64;
         for size in [header.layer_size, header.shared_attributes.display_window.size] {
-            check_size(path, size.width() as u64, size.height() as u64, bytes_per_pixel, bytes.len())?;
+            check_size(path, size.width() as u64, size.height() as u64, bytes_per_pixel, bytes.len() as u64)?;
         }
     }
     let Some(attributes) = reader.headers().first().map(|header| &header.shared_attributes) else {
@@ -108,6 +109,27 @@ fn decode_unguarded(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<S
     }
     let (width, height) = (window.width, window.height);
     Ok(Stored { width, height, channels: picked.len(), samples: OwnedSamples::F32(values), colors, notes })
+}
+
+/// What reading takes: all channels of the first part, and beside them the picture.
+pub(super) fn demand(path: &Path, reader: impl Read + Seek, file_bytes: u64) -> Result<Demand> {
+    let reader = exr::block::read(reader, false).map_err(|e| exr_error(path, e))?;
+    let Some(header) = reader.headers().first() else { return Err(broken(path, "no image in the file")) };
+    let size = header.shared_attributes.display_window.size;
+    let is_color = header.channels.list.iter().any(|channel| ["R", "G", "B"].contains(&&*channel.name.to_string()));
+    let colors = if is_color { 3 } else { 1 };
+    let pixels = (size.width() as u64).saturating_mul(size.height() as u64);
+    let data = (header.layer_size.width() as u64).saturating_mul(header.layer_size.height() as u64);
+    check_size(path, size.width() as u64, size.height() as u64, 4 * colors as u64, file_bytes)?;
+    let all = data.saturating_mul(header.channels.bytes_per_pixel as u64);
+    let stored = 4 * colors as u64 * pixels;
+    Ok(Demand::new(
+        (size.width(), size.height()),
+        colors,
+        stored,
+        file_bytes.saturating_add(all),
+        Orientation::NoTransforms,
+    ))
 }
 
 /// The display window, and where the data window lies in it.

@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::decode::{MAX_DECODED_BYTES, Stored, decode, read_stored};
+use super::decode::{Demand, MAX_DECODED_BYTES, Stored, decode, demand_of_bytes};
 use super::encode::{named_channels, png8, png16, tiff_float};
 use super::exr::{self, Precision};
+use super::file::read_file_unless;
 use super::ours::{self, Description};
 use super::resize::{fit_size, shrink};
 use super::save::{Files, Saving, read_whole};
@@ -516,18 +517,24 @@ impl Material {
     /// # Errors
     /// As [`Material::load`].
     pub fn load_with(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Self> {
-        Self::load_unless(path.as_ref(), options, &CancelToken::new())
+        Self::load_within(path.as_ref(), options, None, &CancelToken::new())
     }
 
-    /// [`Material::load_with`] until `cancel` is cancelled.
+    /// [`Material::load_with`] with at most `max_memory` bytes, three quarters of the free memory if not given, until `cancel` is cancelled.
     ///
     /// # Errors
-    /// As [`Material::load`]; [`Error::Cancelled`].
-    pub(crate) fn load_unless(path: &Path, options: &LoadOptions, cancel: &CancelToken) -> Result<Self> {
+    /// As [`Material::load`]; [`Error::OutOfMemory`] before a map is decoded; [`Error::Cancelled`].
+    pub(crate) fn load_within(
+        path: &Path,
+        options: &LoadOptions,
+        max_memory: Option<u64>,
+        cancel: &CancelToken,
+    ) -> Result<Self> {
+        let bounds = &Bounds { allowed: memory::allowed(max_memory, 0), cancel };
         let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, e))?;
         if metadata.is_dir()
             && let Some(material) =
-                described(path, cancel, |files, description| load_described(path, files, description, cancel))?
+                described(path, cancel, |files, description| load_described(path, files, description, bounds))?
         {
             return Ok(material);
         }
@@ -540,9 +547,9 @@ impl Material {
         };
         let patch_size = options.patch_size.unwrap_or(1.0);
         let material = if metadata.is_dir() {
-            load_plain(path, encoding, patch_size, cancel)?
+            load_plain(path, encoding, patch_size, bounds)?
         } else {
-            load_strip(path, encoding, patch_size, cancel)?
+            load_strip(path, encoding, patch_size, bounds)?
         };
         Ok(Self { unit: options.unit.clone(), ..material })
     }
@@ -692,7 +699,7 @@ fn load_described(
     folder: &Path,
     files: &Files<'_>,
     description: &MaterialFile,
-    cancel: &CancelToken,
+    bounds: &Bounds<'_>,
 ) -> Result<Material> {
     let MapFiles { diffuse, specular, roughness, normal, tangent } = &description.maps;
     let mut warnings = Vec::new();
@@ -705,7 +712,13 @@ fn load_described(
             warnings
                 .push(format!("{path}: changed since {MATERIAL_JSON} was written: expected {written}, got {found}"));
         }
-        let mut image = decode_map(map, description.lobe, &path, &decode(&path, &bytes, cancel)?, entry.transfer)?;
+        let mut image = decode_map(
+            map,
+            description.lobe,
+            &path,
+            &bounds.decode(&path, &bytes, 1, description.lobe)?,
+            entry.transfer,
+        )?;
         if let Some(color_space) = entry.color_space.filter(|_| map.is_color()) {
             color_space.convert_image(ColorSpace::Rec709, &mut image);
         }
@@ -732,11 +745,34 @@ fn load_described(
     )
 }
 
+/// What the loading of a material is held to.
+struct Bounds<'a> {
+    allowed: u64,
+    cancel: &'a CancelToken,
+}
+
+impl Bounds<'_> {
+    /// [`decode`] of a file with `maps` maps of a material, if there is the memory for it.
+    fn decode(&self, path: &Path, bytes: &[u8], maps: usize, lobe: Lobe) -> Result<Stored> {
+        let Demand { size: (width, height), .. } = demand_of_bytes(path, bytes, self.cancel)?;
+        // The maps as they are read, in planes, and limited to their ranges.
+        let pixel = (3 * lobe.planes() * size_of::<f32>()) as u64;
+        let needed =
+            pixel.saturating_mul((width / maps) as u64).saturating_mul(height as u64).saturating_add(memory::SMALL);
+        memory::check(&format!("reading maps of {width} x {height} pixels"), needed, self.allowed)?;
+        decode(path, bytes, self.cancel)
+    }
+
+    fn read(&self, path: &Path, maps: usize) -> Result<Stored> {
+        self.decode(path, &read_file_unless(path, MAX_MAP_BYTES, self.cancel)?, maps, Lobe::Isotropic)
+    }
+}
+
 /// A folder with one image per map, in a stated encoding.
-fn load_plain(folder: &Path, encoding: MaterialEncoding, patch_size: f64, cancel: &CancelToken) -> Result<Material> {
+fn load_plain(folder: &Path, encoding: MaterialEncoding, patch_size: f64, bounds: &Bounds<'_>) -> Result<Material> {
     let read = |map: Map| {
         let path = find_map(folder, map)?;
-        decode_map(map, Lobe::Isotropic, &path, &read_stored(&path, cancel)?, encoding.transfer(map))
+        decode_map(map, Lobe::Isotropic, &path, &bounds.read(&path, 1)?, encoding.transfer(map))
     };
     assemble(folder, isotropic(read, patch_size)?)
 }
@@ -781,13 +817,13 @@ fn find_map(folder: &Path, map: Map) -> Result<PathBuf> {
 }
 
 /// One image of square tiles, in a stated encoding.
-fn load_strip(path: &Path, encoding: MaterialEncoding, patch_size: f64, cancel: &CancelToken) -> Result<Material> {
+fn load_strip(path: &Path, encoding: MaterialEncoding, patch_size: f64, bounds: &Bounds<'_>) -> Result<Material> {
     let name = || path.display().to_string();
     let Some(order) = encoding.strip() else {
         let got = format!("an image file; {} has a folder of files", encoding.name());
         return Err(Error::UnsupportedFormat { name: name(), got });
     };
-    let stored = read_stored(path, cancel)?;
+    let stored = bounds.read(path, order.len())?;
     let side = stored.height;
     let photo = usize::from(encoding == MaterialEncoding::Deschaintre2018 && stored.width == 5 * side);
     if stored.width != (4 + photo) * side {

@@ -32,8 +32,8 @@ use crate::color::Transfer;
 use crate::error::Result;
 use crate::image::Image;
 
+pub(crate) use decode::{Demand, Pixels, RowReader, demand, read_stored};
 pub use decode::{MAX_DECODED_BYTES, Samples};
-pub(crate) use decode::{Pixels, RowReader, read_stored};
 pub(crate) use file::read_file;
 
 /// Reads an image file as linear values: (H, W, 3) for colour, (H, W, 1) for grey. An alpha channel is left out.

@@ -15,7 +15,7 @@ use image::metadata::Orientation;
 use weezl::{BitOrder, LzwStatus, decode::Configuration};
 
 use super::decode::{
-    MAX_DECODED_BYTES, OwnedSamples, Stored, broken, check_size, decode_jpeg, plausible_bytes, unsupported,
+    Demand, MAX_DECODED_BYTES, OwnedSamples, Stored, broken, check_size, decode_jpeg, plausible_bytes, unsupported,
 };
 use super::profile::FileColors;
 use crate::cancel::{CancelToken, Cancellable};
@@ -273,6 +273,32 @@ fn directories<'a>(file: File<'a>, first: u64) -> Vec<Directory<'a>> {
 }
 
 pub(super) fn decode(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
+    let (page, orientation, pages) = open(path, bytes, cancel)?;
+    let mut stored = page.read()?;
+    if pages > 1 {
+        stored.notes.push(format!("the first of {pages} pages read"));
+    }
+    stored.orient(orientation, cancel)
+}
+
+/// What reading takes: the picture, and beside it one strip or tile, unpacked.
+pub(super) fn demand(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Demand> {
+    let (page, orientation, _) = open(path, bytes, cancel)?;
+    let chunk = (page.chunk_width * page.chunk_height * page.samples * page.size) as u64;
+    let sample = match page.kind {
+        Kind::U8 => 1,
+        Kind::U16 => 2,
+        Kind::F16 | Kind::F32 | Kind::F64 => 4,
+    };
+    let stored = (page.width * page.height * page.colors * sample) as u64;
+    // A JPEG's pixels are there twice.
+    let chunks = if page.compression == Compression::Jpeg { 2 * chunk } else { chunk };
+    let beside = bytes.len() as u64 + chunks;
+    Ok(Demand::new((page.width, page.height), page.colors, stored, beside, orientation))
+}
+
+/// The page that is read, what its orientation is, and how many there are.
+fn open<'a>(path: &'a Path, bytes: &'a [u8], cancel: &'a CancelToken) -> Result<(Page<'a>, Orientation, usize)> {
     let (file, first) = File::open(bytes).ok_or_else(|| broken(path, "TIFF without a directory: truncated"))?;
     let directories = directories(file, first);
     // Canon's raw files are told by their third word, their tags do not.
@@ -283,11 +309,8 @@ pub(super) fn decode(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<
     let Some(page) = full.first().copied().or(directories.first()) else {
         return Err(broken(path, "TIFF whose first directory lies beyond its end: truncated"));
     };
-    let mut stored = Page::new(path, bytes, page, cancel)?.read()?;
-    if full.len() > 1 {
-        stored.notes.push(format!("the first of {} pages read", full.len()));
-    }
-    stored.orient(page.orientation().unwrap_or(Orientation::NoTransforms), cancel)
+    let orientation = page.orientation().unwrap_or(Orientation::NoTransforms);
+    Ok((Page::new(path, bytes, page, cancel)?, orientation, full.len()))
 }
 
 /// How the samples of a page are stored.
@@ -380,7 +403,7 @@ impl<'a> Page<'a> {
         if samples < colors {
             return Err(broken(path, format!("TIFF of {samples} samples a pixel where colour needs {colors}")));
         }
-        check_size(path, width, height, colors * size, bytes.len())?;
+        check_size(path, width, height, colors * size, bytes.len() as u64)?;
 
         let planar = page.number(tag::PLANAR_CONFIGURATION) == Some(2) && samples > 1;
         let tiled = page.entry(tag::TILE_OFFSETS).is_some();
@@ -408,7 +431,7 @@ impl<'a> Page<'a> {
             .checked_mul(chunk_height)
             .and_then(|n| n.checked_mul(if planar { 1 } else { samples }))
             .and_then(|n| n.checked_mul(size * planes * chunks));
-        if unpacked.is_none_or(|unpacked| unpacked > plausible_bytes(bytes.len()).min(2 * MAX_DECODED_BYTES)) {
+        if unpacked.is_none_or(|unpacked| unpacked > plausible_bytes(bytes.len() as u64).min(2 * MAX_DECODED_BYTES)) {
             let reason = format!(
                 "TIFF of {width} x {height} pixels in {chunks} strips or tiles of {chunk_width} x {chunk_height} pixels of {samples} samples, \
                 in a file of {} bytes: more than is read, or damaged",

@@ -200,6 +200,15 @@ impl Model {
         self.has_checksums
     }
 
+    /// Bytes of its weights in memory.
+    pub fn memory(&self) -> u64 {
+        let parameters = match &self.content {
+            Content::Networks(networks) => networks.iter().map(Network::parameters).sum(),
+            Content::PhotoGraph(graph) => graph.parameters(),
+        };
+        (parameters * size_of::<f32>()) as u64
+    }
+
     /// The licence the weights come under, as their file states it.
     pub fn license(&self) -> &str {
         &self.license

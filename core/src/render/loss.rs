@@ -98,6 +98,11 @@ impl Target {
         Self::new(image.width(), image.height(), photo.shot, &encoded, &photo.saturated)
     }
 
+    /// Bytes of a target of this size.
+    pub(crate) fn memory(width: usize, height: usize) -> u64 {
+        (3 * size_of::<f32>() as u64 + 1) * (padded(width) * height) as u64
+    }
+
     /// Columns.
     pub fn width(&self) -> usize {
         self.width

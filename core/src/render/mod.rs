@@ -70,6 +70,13 @@ fn rendered(material: &Material, patch_size: f64, shot: &Shot) -> Result<Image> 
     Image::from_planar(maps.width(), maps.height(), 3, &planes)
 }
 
+/// Estimated bytes that the rendering of `material` takes at its peak, those of its maps included: the maps a second time, as planes, and the picture, as
+/// planes and as it is.
+#[cfg(feature = "cli")]
+pub(crate) fn rendering_memory(material: &Material) -> u64 {
+    2 * material.memory() + 2 * 3 * 4 * (material.width() * material.height()) as u64 + memory::SMALL
+}
+
 /// [`render`] as photo `index` of `capture`, counted from 0, was taken.
 ///
 /// The material and the photos must show the same patch. Widths in known units are compared as lengths, to a thousandth; the photo's

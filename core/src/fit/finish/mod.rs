@@ -486,6 +486,13 @@ fn places(c: usize) -> [usize; 5] {
     [c, NORMAL, NORMAL + 1, ROUGHNESS, SPECULAR + c]
 }
 
+/// Estimated bytes that [`finish`] takes for photos of so many pixels, and its start: the photos' codes, the sample, and nine values each of the start, of what
+/// is found with its deviations, of the latter as planes.
+pub(crate) fn memory(photos: usize, pixels: u64) -> u64 {
+    let sample = (CHOICE_SIDE * CHOICE_SIDE * photos * size_of::<Sight>()) as u64;
+    sample + pixels * (3 * 4 * photos as u64 + 5 * 4 * RAW as u64)
+}
+
 /// Fits every pixel of `capture`, its photos taken as `shots` say, with `start` as the prior, by up to `steps` Levenberg-Marquardt steps.
 ///
 /// # Errors

@@ -156,34 +156,37 @@ impl PhotoGraph {
     pub fn memory(&self, photos: usize, height: usize, width: usize) -> u64 {
         let config = &self.config;
         let grain = config.grain() as u64;
-        let pixels = (height as u64).next_multiple_of(grain).saturating_mul((width as u64).next_multiple_of(grain));
-        // Channels of full resolution; those of half resolution count a quarter. A block has its input, twice as many channels
-        // before its gate, those after it, their means, and its output.
+        let (height, width) = ((height as u64).next_multiple_of(grain), (width as u64).next_multiple_of(grain));
+        // No machine holds more photos than this.
+        let photos = (photos as u64).min(1 << 32);
+        // What is alive in each part, in channels of full resolution; those of half resolution count a quarter. A block has its input, twice as many
+        // channels before its gate, those after it, their means, and its output. Memory that was freed goes back between the operations.
         const BLOCK: u64 = 6;
         let of = |channels: usize| channels as u64;
         let quarter = |channels: u64| channels.div_ceil(4);
-        let (stem, node, tail) = (of(config.stem), of(config.node), of(config.tail));
-        // No machine holds more photos than this.
-        let nodes = (photos as u64).min(1 << 32) * quarter(node + of(DIRECTIONS));
-        let photo =
-            of(INPUTS) + 2 * stem + quarter(BLOCK * node) + if config.stem_blocks > 0 { BLOCK * stem } else { 0 };
-        let see = (3 * stem + of(HINTS) + 1) + of(hints::SUMS) + tail + photo + nodes;
-        let pooled = 3 * node + of(HINTS) + 1;
-        let exchange = tail + nodes + quarter(BLOCK * node + of(HINTS) + pooled);
-        // All levels below half resolution together have at most as many values as it.
-        let trunk = tail + quarter(2 * (BLOCK + 2) * of(config.width) + of(HINTS) + pooled);
-        let feature = of(config.feature);
-        let end = quarter(of(config.width)) + (BLOCK + 2) * tail + BLOCK * feature + 4 * of(RAW_PLANES);
-        let channels = see.max(exchange).max(trunk).max(end);
-        // What every thread holds of a band of half resolution in a round of messages, and small change.
-        let band = (width as u64).div_ceil(2).clamp(256, 1 << 20);
-        let round = (photos as u64).min(1 << 32) * (2 * of(config.heads) * of(config.dim) + node + 1);
-        let rounds = round.saturating_mul(band).saturating_mul(rayon::current_num_threads() as u64);
-        channels
-            .saturating_mul(pixels)
-            .saturating_add(rounds)
-            .saturating_mul(size_of::<f32>() as u64)
-            .saturating_add(8 << 20)
+        let (stem, node, tail, feature) = (of(config.stem), of(config.node), of(config.tail), of(config.feature));
+        let (hints, raw, directions) = (of(HINTS), of(RAW_PLANES), quarter(of(DIRECTIONS)));
+        let nodes = photos.saturating_mul(quarter(node) + directions);
+        let pooled = |channels: u64| 3 * channels + hints + 1;
+        let in_stem = if config.stem_blocks > 0 { BLOCK * stem } else { of(INPUTS) + stem };
+        let photo = in_stem.max(2 * stem + quarter(node)).max(quarter((BLOCK - 1) * node));
+        let see = pooled(stem) + of(hints::SUMS) + nodes + photo;
+        let hinted = pooled(stem) + of(hints::SUMS) + nodes + tail + hints + quarter(hints);
+        let exchange = tail + quarter(hints) + nodes + quarter((BLOCK - 1) * node).max(quarter(pooled(node)));
+        let trunk = tail + quarter(BLOCK * of(config.width)).max(quarter(pooled(node) + of(config.width)));
+        let end = (BLOCK * tail).max(3 * tail + quarter(of(config.width))).max(2 * raw + BLOCK * feature);
+        // What every thread holds of a band: in a round of messages, at half resolution; neighbourhoods of a convolution; inside of a block.
+        let threads = rayon::current_num_threads() as u64;
+        let band = |step: u64| width.div_ceil(step).clamp(256, 1 << 20);
+        let messages = photos.saturating_mul(2 * of(config.heads) * of(config.dim) + node + 1) + 3 * node;
+        let coarsest = of(config.channels(config.levels()));
+        let inside = (9 * stem * band(1)).max(3 * coarsest * band(2 << config.levels()));
+        let bytes = |channels: u64, scratch: u64| {
+            let values = channels.saturating_mul(height.saturating_mul(width));
+            values.saturating_add(scratch.saturating_mul(threads)).saturating_mul(size_of::<f32>() as u64)
+        };
+        let rest = see.max(hinted).max(trunk).max(end);
+        bytes(rest, inside).max(bytes(exchange, messages.saturating_mul(band(2))))
     }
 }
 

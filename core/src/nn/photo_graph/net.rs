@@ -18,9 +18,6 @@ use crate::nn::tape::{Param, Planes, Pool};
 
 /// First plane of a photo's directions.
 pub(super) const FIRST_DIRECTION: usize = 7;
-/// Values of an image from which on freed memory goes back to the system between operations, instead of waiting for the next: getting it again
-/// is then little work beside the operation's.
-const LARGE: usize = 1 << 24;
 
 /// A block and a 3x3 convolution.
 pub(super) struct Adapter<E: Scalar> {
@@ -35,7 +32,7 @@ impl<E: Scalar> Adapter<E> {
     }
 
     fn run(&self, x: Planes<E>, window: Option<usize>) -> Result<Planes<E>> {
-        conv3x3(block_within(x, &self.block, window)?, 1, &self.end.weight, &self.end.bias)
+        conv3x3(relaxed(block_within(x, &self.block, window)?), 1, &self.end.weight, &self.end.bias).map(relaxed)
     }
 }
 
@@ -90,11 +87,9 @@ fn run_blocks<E: Scalar>(
     Ok(x)
 }
 
-/// `x`, after giving memory back if it is large.
+/// `x`, after giving back what the operation that made it has freed: what operations of other sizes leave would add up.
 fn relaxed<E: Scalar>(x: Planes<E>) -> Planes<E> {
-    if x.layout.len() >= LARGE {
-        x.pool().release();
-    }
+    x.pool().release();
     x
 }
 
@@ -155,7 +150,7 @@ impl<E: Scalar> Net<E> {
             self.see(config, photos, layout, &mut |index| photo(index, &pool), &pool, control)?;
         let at_half = half_layout(layout).with_channels(config.node);
         let coarse = self.exchange(config, nodes, &hints, at_half, &pool, control)?;
-        let (raw, log_sigma) = self.restore(config, fine, coarse, &pool, control)?;
+        let (raw, log_sigma) = self.restore(config, fine, coarse, control)?;
         let unpack = |planes: &Planes<E>| planes.layout.unpack(planes.values(), size.0, size.1);
         Ok(Output { raw: raw.iter().flat_map(unpack).collect(), log_sigma: unpack(&log_sigma) })
     }
@@ -231,30 +226,28 @@ impl<E: Scalar> Net<E> {
         config: &PhotoGraphConfig,
         fine: Planes<E>,
         coarse: Planes<E>,
-        pool: &Pool<E>,
         control: &mut Control<'_>,
     ) -> Result<(Vec<Planes<E>>, Planes<E>)> {
-        let mut x = pointwise(coarse, &self.entry.weight, Some(&self.entry.bias))?;
+        let mut x = relaxed(pointwise(coarse, &self.entry.weight, Some(&self.entry.bias))?);
         let mut skips = Vec::with_capacity(self.levels.len());
         for (depth, level) in self.levels.iter().enumerate() {
             x = run_blocks(x, &level.encoder, config.window_at(depth + 1), control)?;
             skips.push(x.branch());
-            x = half(x, &level.down)?;
+            x = relaxed(half(x, &level.down)?);
         }
         x = run_blocks(x, &self.middle, config.window_at(self.levels.len() + 1), control)?;
         for ((depth, level), skip) in self.levels.iter().enumerate().zip(skips).rev() {
-            x = pixel_shuffle(pointwise(x, &level.up, None)?, Some(skip))?;
+            x = relaxed(pixel_shuffle(pointwise(x, &level.up, None)?, Some(skip))?);
             x = run_blocks(x, &level.decoder, config.window_at(depth + 1), control)?;
         }
-        pool.release();
-        x = pixel_shuffle(pointwise(x, &self.unfold, None)?, Some(fine))?;
+        x = relaxed(pixel_shuffle(pointwise(x, &self.unfold, None)?, Some(fine))?);
         let window = config.window_at(0);
         x = run_blocks(x, &self.tail, window, control)?;
         control.poll()?;
         let mut log_sigma = self.certainty.run(x.branch(), window)?.into_buffer();
         log_sigma.par_iter_mut().for_each(|value| *value = bounded_log_sigma(*value));
         let log_sigma = Planes::of(log_sigma, x.layout.with_channels(super::config::RAW_PLANES))?;
-        let feature = conv3x3(x, 1, &self.ending.weight, &self.ending.bias)?;
+        let feature = relaxed(conv3x3(x, 1, &self.ending.weight, &self.ending.bias)?);
         let adapt = |adapter: &Adapter<E>| {
             control.poll()?;
             adapter.run(feature.branch(), window)

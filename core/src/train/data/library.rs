@@ -176,7 +176,7 @@ impl Library {
         }
         let mut library =
             Self { training: Vec::new(), validation: Vec::new(), held_out: Vec::new(), licences: BTreeMap::new() };
-        let (taken, allowed) = (AtomicU64::new(0), memory::allowed(None));
+        let (taken, allowed) = (AtomicU64::new(0), memory::allowed(None, 0));
         for chunk in entries.chunks(CHUNK) {
             let files = chunk.iter().map(&mut read).collect::<Result<Vec<Files>>>()?;
             let textures: Vec<Texture> = chunk
