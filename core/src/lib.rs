@@ -1,5 +1,6 @@
 //! Materials (SVBRDF maps) from flash photos.
 
+pub mod acquire;
 pub mod brdf;
 mod cancel;
 pub mod capture;

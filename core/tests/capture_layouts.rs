@@ -243,7 +243,7 @@ fn wrong_json() {
         ("[]".to_owned(), &["capture.json"]),
         ("{}".to_owned(), &["capture.json", "missing", "svbrdf-gcn capture"]),
         (good.replace("svbrdf-gcn capture", "other"), &["other", "svbrdf-gcn capture"]),
-        (good.replace("\"version\": 1", "\"version\": 2"), &["version 2", "version 1"]),
+        (good.replace("\"version\": 1", "\"version\": 3"), &["version 3", "versions 1 and 2"]),
         (good.replace("\"version\": 1,", ""), &["version missing"]),
         (good.replace("srgb", "Adobe"), &["Adobe", "gamma2.2"]),
         (good.replace("10.0", "0"), &["patch_size", "got 0"]),
@@ -404,4 +404,94 @@ fn a_capture_states_its_colour_space() {
     assert_eq!(open(&acescg, &replaced), open(&rec709, &CaptureOptions::new()));
     let unknown = json_folder(&linear(r#""color_space": "p3","#));
     assert_mentions(&message(unknown.path()), &["capture.json", "p3", "acescg"]);
+}
+
+/// A JPEG with EXIF data of a lens of 26 mm (on film) and a flash that did not fire, for a photo of this size.
+fn jpeg_of_lens(width: u32, height: u32) -> Vec<u8> {
+    let entry = |tag: u16, kind: u16, count: u32, value: u32| {
+        [
+            tag.to_le_bytes().to_vec(),
+            kind.to_le_bytes().to_vec(),
+            count.to_le_bytes().to_vec(),
+            value.to_le_bytes().to_vec(),
+        ]
+        .concat()
+    };
+    let directory =
+        |entries: &[Vec<u8>]| [(entries.len() as u16).to_le_bytes().to_vec(), entries.concat(), vec![0; 4]].concat();
+    let mut exif = b"Exif\0\0II\x2a\0\x08\0\0\0".to_vec();
+    exif.extend(directory(&[entry(0x8769, 4, 1, 26)]));
+    exif.extend(directory(&[
+        entry(0x9209, 3, 1, 16),
+        entry(0xa002, 4, 1, width),
+        entry(0xa003, 4, 1, height),
+        entry(0xa405, 3, 1, 26),
+    ]));
+    files::jpeg_with(include_bytes!("fixtures/restart.jpg"), 0xe1, &exif)
+}
+
+#[test]
+fn one_photo_takes_its_lens_from_exif_data_of_its_size() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("photo.jpg");
+    let (width, height) = {
+        fs::write(&path, include_bytes!("fixtures/restart.jpg")).unwrap();
+        let capture = Capture::open(&path).unwrap();
+        (capture.width() as u32, capture.height() as u32)
+    };
+    let shorter = f64::from(width.min(height));
+    fs::write(&path, jpeg_of_lens(width, height)).unwrap();
+    let capture = Capture::open(&path).unwrap();
+    let assumed = capture.assumed().unwrap();
+    // The diagonal of film is 43.27 mm long.
+    let focal_length = 26.0 / 43.2666 * f64::from(width).hypot(f64::from(height));
+    assert!(assumed.field_of_view_is_from_exif);
+    assert!((assumed.distance - 2.0 * focal_length / shorter).abs() < 1e-4, "{assumed:?}");
+    assert_eq!(capture.patch_size(), 2.0 * f64::from(width) / shorter);
+    let shot = capture.photos()[0].shot;
+    assert_eq!((shot.camera, shot.light), ([0.0, 0.0, assumed.distance], shot.camera));
+    assert_mentions(&capture.warnings().join("\n"), &["as EXIF says", "flash did not fire", "light_intensity states"]);
+
+    fs::write(&path, jpeg_of_lens(2 * width, 2 * height)).unwrap();
+    let scaled = Capture::open(&path).unwrap();
+    assert!(!scaled.assumed().unwrap().field_of_view_is_from_exif);
+    assert_mentions(&scaled.warnings().join("\n"), &["50.0 degrees across the shorter side"]);
+
+    let options = CaptureOptions::new().light_intensity([3.0, 2.0, 1.0]).size(8);
+    let stated = Capture::open_with(&path, &options).unwrap();
+    assert_eq!(stated.photos()[0].shot.light_intensity, [3.0, 2.0, 1.0]);
+    assert!(!stated.assumed().unwrap().light_is_chosen);
+    assert_eq!(stated.width().max(stated.height()), 8);
+    assert_eq!(stated.patch_size(), capture.patch_size());
+    let negative = Capture::open_with(&path, &CaptureOptions::new().light_intensity([-1.0, 1.0, 1.0]));
+    assert_mentions(&negative.unwrap_err().to_string(), &["photo.jpg", "light_intensity", "-1"]);
+}
+
+#[test]
+fn another_light_intensity_replaces_what_is_stated() {
+    let dir = folder();
+    let options = CaptureOptions::new().light_intensity([5.0, 6.0, 7.0]);
+    let capture = Capture::open_with(dir.path(), &options).unwrap();
+    assert!(capture.photos().iter().all(|photo| photo.shot.light_intensity == [5.0, 6.0, 7.0]));
+    assert!(capture.assumed().is_none());
+}
+
+#[test]
+fn masks_of_version_2_say_what_is_saturated() {
+    let mask = |size: &[u16]| files::png(4, 2, 2, 8, size);
+    let photos = r#"[{"file": "a.png", "camera": [0, 0, 20], "saturated": "mask.png"}]"#;
+    let dir =
+        json_folder(&json(r#""acquisition": {"anything": 1},"#, photos).replace("\"version\": 1", "\"version\": 2"));
+    let mut bits = [0u16; 24];
+    (bits[1], bits[6], bits[7], bits[8]) = (255, 255, 255, 255);
+    fs::write(dir.path().join("mask.png"), mask(&bits)).unwrap();
+    let capture = Capture::open(dir.path()).unwrap();
+    assert_eq!(capture.photos()[0].saturated, [0b010, 0, 0b111, 0, 0, 0, 0, 0]);
+    let small = Capture::open_with(dir.path(), &CaptureOptions::new().size(2)).unwrap();
+    assert_eq!(small.photos()[0].saturated, [0b010, 0b111]);
+    fs::write(dir.path().join("mask.png"), rgb(2, 2, 0)).unwrap();
+    assert_mentions(&message(dir.path()), &["mask.png", "4 x 2 pixels as its photo", "2 x 2"]);
+    // Version 1 has no masks.
+    let old = json_folder(&json("", photos));
+    assert_mentions(&message(old.path()), &["photos[0].saturated unknown"]);
 }

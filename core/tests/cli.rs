@@ -359,6 +359,43 @@ fn outputs_spare_what_is_not_theirs() {
     assert!(info["warnings"][0].as_str().unwrap().contains("diffuse.exr"), "{info}");
 }
 
+/// One photo needs no capture: what is assumed is said, and the light is such that the diffuse albedo ends at 0.9.
+#[test]
+fn one_photo_alone_is_fitted() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let photo = samples("tiles/04.png");
+    let fit = |more: &[&str]| {
+        let fixed = ["fit", text(&photo), "-o", text(&out), "--size", "48", "--preset", "draft", "--json"];
+        run(&[&fixed[..], more].concat())
+    };
+    let output = fit(&[]);
+    let said = stderr(&output);
+    assert!(said.contains("04.png: one photo without a capture") && said.contains("50.0 degrees"), "{said}");
+    let report = &json(&output)["report"];
+    let assumed = &report["assumed"];
+    assert_eq!((&assumed["light_is_chosen"], &assumed["field_of_view_is_from_exif"]), (&true.into(), &false.into()));
+    let reasons = report["reasons"].as_array().unwrap();
+    let reason = reasons.iter().find(|reason| reason["code"] == "assumed").unwrap();
+    assert!(reason["text"].as_str().unwrap().contains("straight above at 2.145"), "{reason}");
+    let material = svbrdf_gcn::Material::load(&out).unwrap();
+    let mut brightest: Vec<f32> =
+        material.diffuse_albedo.data().chunks_exact(3).map(|rgb| rgb.iter().copied().fold(0.0, f32::max)).collect();
+    brightest.sort_by(f32::total_cmp);
+    let percentile = brightest[brightest.len() * 99 / 100];
+    assert!((0.8..1.0).contains(&percentile), "{percentile}");
+
+    let output = fit(&["--light-intensity", "30,20,10"]);
+    assert!(!stderr(&output).contains("the light is assumed"), "{}", stderr(&output));
+    let assumed = &json(&output)["report"]["assumed"];
+    assert_eq!(assumed["light_intensity"], serde_json::json!([30.0, 20.0, 10.0]));
+    assert_eq!(assumed["light_is_chosen"], false);
+
+    let refused = fit(&["--light-intensity", "1,2"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(stderr(&refused).contains("one number or three r,g,b"), "{}", stderr(&refused));
+}
+
 /// What is given in place of what is wanted is called what it is, with what to do and where that is described.
 #[test]
 fn what_was_given_is_named() {
@@ -377,22 +414,23 @@ fn what_was_given_is_named() {
     let truth = text(&truth);
     let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/default.safetensors");
     let view = ["--camera", "0,0,9", "--light", "0,0,9", "-o", out];
-    let cases: [(Vec<&str>, i32, &[&str]); 13] = [
+    let cases: [(Vec<&str>, i32, &[&str]); 12] = [
         (vec!["info", a], 3, &["a.jpg", "a JPEG image of 4 x 3 pixels", "weights file", "docs/captures.md"]),
         (vec!["info", photos], 3, &["a folder with 2 images", "docs/materials.md"]),
         (vec!["info", capture], 3, &["the folder of a capture", "fit"]),
-        (
-            vec!["fit", a, "-o", out],
-            3,
-            &["a.jpg", "a JPEG image of 4 x 3 pixels", "camera and light", "docs/captures.md"],
-        ),
         (vec!["fit", photos, "-o", out], 3, &["a folder with 2 images and no capture.json", "docs/captures.md"]),
         (vec!["fit", truth, "-o", out], 3, &["the folder of a material", "docs/captures.md"]),
         (vec!["fit", text(&weights), "-o", out], 3, &["a weights file", "docs/captures.md"]),
         (
             vec!["fit", a, b, "-o", out],
             2,
-            &["capture: expected one", "got 2", "a.jpg (a JPEG image", "b.jpg", "docs/captures.md"],
+            &[
+                "photos: none can be used",
+                "a.jpg: 0 of the sheet's 16 tags",
+                "b.jpg",
+                "svbrdf-gcn sheet",
+                "docs/capturing.md",
+            ],
         ),
         (vec!["evaluate", truth, a, b], 2, &["capture: expected one", "got 2", "docs/captures.md"]),
         ([&["render", a], &view[..]].concat(), 3, &["a JPEG image", "material.json", "docs/materials.md"]),

@@ -64,14 +64,15 @@ def prepare(settings):
     if settings.source == "FOLDER":
         folder = absolute(settings.folder)
         if not folder:
-            raise ValueError("folder: expected a capture folder, got nothing")
+            raise ValueError("folder: expected a capture folder or a photo, got nothing")
 
         def fit_folder(**control):
             capture = svbrdf_gcn.Capture.open(folder, **reading, max_memory=options["max_memory"], cancel=control["cancel"])
             return svbrdf_gcn.fit_material(capture, **options, **control)
 
         path = Path(folder)
-        return (path.parent if path.suffix.lower() == ".json" else path).name or "Material", fit_folder
+        name = path.parent.name if path.suffix.lower() == ".json" else path.stem if path.is_file() else path.name
+        return name or "Material", fit_folder
 
     photos = [photo for photo in settings.photos if photo.image is not None]
     if not photos:

@@ -31,12 +31,12 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
         name="Photos",
         description="Where the photos are",
         items=[
-            ("FOLDER", "Folder", "A capture folder: photos with their positions"),
+            ("FOLDER", "Folder", "A capture folder: photos with their positions; or one photo taken from straight above with the flash"),
             ("IMAGES", "Images", "Images of this file, with positions entered here"),
         ],
     )
     folder: StringProperty(
-        name="Capture", description="Capture folder, or its JSON file", subtype="FILE_PATH"
+        name="Capture", description="Capture folder, its JSON file, or one photo", subtype="FILE_PATH"
     )
     photos: CollectionProperty(type=SVBRDF_GCN_PG_photo)
     active_photo: IntProperty()

@@ -98,6 +98,10 @@ impl Setup<'_> {
 /// # Errors
 /// `ArgumentError` for arguments that a capture brings itself or that photos lack; as `Capture` and `Capture.open` otherwise.
 pub fn capture(py: Python<'_>, source: &Source<'_>, setup: Setup<'_>, reading: Reading<'_>) -> PyResult<Arc<Capture>> {
+    let (mut setup, mut light_intensity) = (setup, None);
+    if let Source::Path(_) = source {
+        light_intensity = setup.light_intensity.take();
+    }
     let given = match source {
         Source::Capture(_) => setup.given().or_else(|| reading.given()),
         Source::Path(_) => setup.given(),
@@ -108,13 +112,18 @@ pub fn capture(py: Python<'_>, source: &Source<'_>, setup: Setup<'_>, reading: R
     }
     match source {
         Source::Capture(capture) => Ok(capture.get().0.clone()),
-        Source::Path(path) => open(py, path, reading),
+        Source::Path(path) => {
+            let mut options = reading.options()?;
+            if let Some(light_intensity) = light_intensity {
+                options.light_intensity = intensities("light_intensity", &light_intensity, 1)?.first().copied();
+            }
+            open(py, path, options)
+        }
         Source::Photos(photos) => from_photos(&photos.0, setup, reading),
     }
 }
 
-fn open(py: Python<'_>, path: &Path, reading: Reading<'_>) -> PyResult<Arc<Capture>> {
-    let options = reading.options()?;
+fn open(py: Python<'_>, path: &Path, options: CaptureOptions) -> PyResult<Arc<Capture>> {
     read(py, options, |options| Capture::open_with(path, options))
 }
 
@@ -301,14 +310,14 @@ impl PyCapture {
         from_photos(&photos.0, setup, reading).map(Self)
     }
 
-    /// Read a capture: its folder or its JSON file.
+    /// Read a capture: its folder or its JSON file, or one photo taken from straight above with the flash.
     ///
-    /// ``docs/captures.md`` describes the layouts.
+    /// ``docs/captures.md`` describes the layouts, and what is assumed of one photo alone.
     ///
     /// Parameters
     /// ----------
     /// path : str or os.PathLike
-    ///     Folder, ``capture.json``, or JSON file of svbrdf-diff-renderer.
+    ///     Folder, ``capture.json``, JSON file of svbrdf-diff-renderer, or image file.
     /// size : int, optional
     ///     Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
     /// views : iterable of int, optional
@@ -355,7 +364,7 @@ impl PyCapture {
         let ignore_profiles = ignore_profiles.take("ignore_profiles")?;
         let (cancel, max_memory) = (token(cancel)?, bytes(max_memory)?);
         let reading = Reading { size, views, transfer, color_space, ignore_profiles, cancel, max_memory };
-        open(py, &path.take("path")?, reading).map(Self)
+        open(py, &path.take("path")?, reading.options()?).map(Self)
     }
 
     /// The capture with only some of its photos.

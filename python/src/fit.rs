@@ -182,9 +182,12 @@ impl PyModel {
 /// ----------
 /// capture_or_photos : Capture, path of a capture, array of shape (N, H, W, 3), or iterable of arrays or image paths
 ///     A ``Capture``, or a path that ``Capture.open`` takes, brings its own positions; photos as arrays or image paths need
-///     `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
-/// camera_positions, light_positions, patch_size, light_intensity, white_level : optional
+///     `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``. The path of one photo, taken
+///     from straight above with the flash, is enough too: what is assumed then is among ``report["warnings"]``.
+/// camera_positions, light_positions, patch_size, white_level : optional
 ///     See ``Capture``.
+/// light_intensity : optional
+///     See ``Capture``. With a path it replaces what the capture states, or what is chosen for one photo.
 /// transfer, color_space, ignore_profiles, size, views : optional
 ///     See ``Capture`` and ``Capture.open``.
 /// preset : {"draft", "balanced", "high"}, default "balanced"

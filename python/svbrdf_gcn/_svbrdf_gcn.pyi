@@ -142,14 +142,14 @@ class Capture:
     @staticmethod
     def open(path: str | PathLike[str], *, size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ..., cancel: CancelToken | None = None, max_memory: SupportsIndex | str | None = None) -> Capture:
         """
-        Read a capture: its folder or its JSON file.
+        Read a capture: its folder or its JSON file, or one photo taken from straight above with the flash.
 
-        ``docs/captures.md`` describes the layouts.
+        ``docs/captures.md`` describes the layouts, and what is assumed of one photo alone.
 
         Parameters
         ----------
         path : str or os.PathLike
-            Folder, ``capture.json``, or JSON file of svbrdf-diff-renderer.
+            Folder, ``capture.json``, JSON file of svbrdf-diff-renderer, or image file.
         size : int, optional
             Longer side in pixels; larger photos are resampled by area, smaller ones are never enlarged.
         views : iterable of int, optional
@@ -703,9 +703,12 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
     ----------
     capture_or_photos : Capture, path of a capture, array of shape (N, H, W, 3), or iterable of arrays or image paths
         A ``Capture``, or a path that ``Capture.open`` takes, brings its own positions; photos as arrays or image paths need
-        `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``.
-    camera_positions, light_positions, patch_size, light_intensity, white_level : optional
+        `camera_positions`, `patch_size`, `light_intensity` and `transfer`, described at ``Capture``. The path of one photo, taken
+        from straight above with the flash, is enough too: what is assumed then is among ``report["warnings"]``.
+    camera_positions, light_positions, patch_size, white_level : optional
         See ``Capture``.
+    light_intensity : optional
+        See ``Capture``. With a path it replaces what the capture states, or what is chosen for one photo.
     transfer, color_space, ignore_profiles, size, views : optional
         See ``Capture`` and ``Capture.open``.
     preset : {"draft", "balanced", "high"}, default "balanced"

@@ -202,12 +202,25 @@ def test_what_photos_need_and_captures_bring(tiles):
             fit_material(two_photos(), **given)
     for source in (tiles, TILES):
         for name, value in {**needed, "light_positions": CAMERAS, "white_level": 1.0, "color_space": "acescg"}.items():
-            if source is TILES and name in ("transfer", "color_space"):
+            if source is TILES and name in ("transfer", "color_space", "light_intensity"):
                 continue
             with pytest.raises(ArgumentError, match=f"^{name}: the capture brings its own"):
                 fit_material(source, **{name: value})
     with pytest.raises(ArgumentError, match="^size: the capture brings its own"):
         fit_material(tiles, size=16)
+
+
+def test_one_photo_alone_is_a_capture(tmp_path):
+    photo = TILES / "04.png"
+    material = fit_material(photo, size=32, preset="draft")
+    assumed, reasons = material.report["assumed"], {reason["code"] for reason in material.report["reasons"]}
+    assert assumed["light_is_chosen"] and not assumed["field_of_view_is_from_exif"]
+    assert "assumed" in reasons and any("one photo without a capture" in warning for warning in material.report["warnings"])
+    assert np.percentile(material.diffuse_albedo.max(-1), 99) == pytest.approx(0.9, abs=0.1)
+    stated = fit_material(photo, size=32, preset="draft", light_intensity=[20, 10, 5])
+    assert stated.report["assumed"]["light_intensity"] == [20, 10, 5] and not stated.report["assumed"]["light_is_chosen"]
+    with pytest.raises(ShapeError, match="^light_intensity: expected shape"):
+        fit_material(photo, light_intensity=[1, 2])
 
 
 def test_image_files_are_photos(tiles):

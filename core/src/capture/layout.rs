@@ -19,7 +19,7 @@ const MAX_TEXT_BYTES: u64 = 16 << 20;
 
 /// What a capture is, for those who gave something else.
 const HINT: &str = "a capture is a folder with a capture.json, or with camera_pos.txt and the like, or a JSON file: it also says where camera and light \
-    stood for each photo, see docs/captures.md";
+    stood for each photo, see docs/captures.md; one photo alone can be given by its file";
 
 /// What a folder in MaterialGAN's layout holds beside [`CAMERA_POSITIONS`] and photos.
 const FOLDER_FILES: [&str; 3] = ["light_pos.txt", "image_size.txt", "light_power.txt"];
@@ -42,6 +42,8 @@ pub(super) struct Entry {
     pub name: String,
     pub path: PathBuf,
     pub shot: Shot,
+    /// A picture of the photo's size that is white where its channels are saturated.
+    pub saturated: Option<PathBuf>,
 }
 
 impl Layout {
@@ -78,11 +80,11 @@ impl Layout {
         let text = as_text(path, bytes)?;
         let head: Head = parse_json(path, &text)?;
         match (head.format.as_deref(), head.version) {
-            (Some(FORMAT), Some(VERSION)) => read_capture_json(path, &text),
+            (Some(FORMAT), Some(version @ (1 | 2))) => read_capture_json(path, &text, version),
             (Some(FORMAT), version) => Err(unsupported(
                 path,
                 format!(
-                    "version {}; this release reads version 1",
+                    "version {}; this release reads versions 1 and 2",
                     version.map_or("missing".to_owned(), |v| v.to_string())
                 ),
             )),
@@ -144,6 +146,7 @@ impl Layout {
                     name: file.clone(),
                     path: folder.join(file),
                     shot: Shot { camera, light, light_intensity: intensity },
+                    saturated: None,
                 }),
                 None => Err(Error::io(
                     &folder.join(format!("{number:02}.png")),
@@ -160,14 +163,16 @@ impl Layout {
 
 /// `capture.json`, described in `docs/captures.md`.
 const FORMAT: &str = "svbrdf-gcn capture";
-const VERSION: u64 = 1;
 
 /// Reads a `capture.json`. All that is missing or wrong in it is told in one error.
-fn read_capture_json(path: &Path, text: &str) -> Result<Layout> {
+fn read_capture_json(path: &Path, text: &str, version: u64) -> Result<Layout> {
     let mut problems = Problems::default();
     let mut capture = Fields::new("", parse_json(path, text)?);
     for read_before in ["format", "version", "notes"] {
         capture.take::<IgnoredAny>(read_before, &mut problems);
+    }
+    if version >= 2 {
+        capture.take::<IgnoredAny>("acquisition", &mut problems);
     }
     let patch_size = capture.need("patch_size", &mut problems);
     let transfer = capture.need("transfer", &mut problems);
@@ -193,6 +198,7 @@ fn read_capture_json(path: &Path, text: &str) -> Result<Layout> {
         let camera = photo.need("camera", &mut problems);
         let light = photo.take("light", &mut problems);
         let own = photo.take::<Intensity>("light_intensity", &mut problems).or(light_intensity);
+        let saturated = if version >= 2 { photo.take::<String>("saturated", &mut problems) } else { None };
         photo.expect_no_more(&mut problems);
         let (Some(name), Some(camera)) = (name, camera) else { continue };
         let Some(Intensity(light_intensity)) = own else {
@@ -201,7 +207,8 @@ fn read_capture_json(path: &Path, text: &str) -> Result<Layout> {
         };
         let shot = Shot { camera, light: light.unwrap_or(camera), light_intensity };
         problems.note(shot.check(&name));
-        entries.push(Entry { path: folder.join(&name), name, shot });
+        let saturated = saturated.map(|file| folder.join(file));
+        entries.push(Entry { path: folder.join(&name), name, shot, saturated });
     }
     match (patch_size, transfer, problems.into_reason()) {
         (Some(patch_size), Some(transfer), None) => {
@@ -234,7 +241,8 @@ fn read_diff_renderer(path: &Path, text: &str) -> Result<Layout> {
         .map(|index| match (cameras.get(index), lights.get(index)) {
             (Some(&camera), Some(&light)) => {
                 let name = format!("{index:02}.png");
-                Ok(Entry { path: folder.join(&name), name, shot: Shot { camera, light, light_intensity } })
+                let shot = Shot { camera, light, light_intensity };
+                Ok(Entry { path: folder.join(&name), name, shot, saturated: None })
             }
             _ => Err(Error::invalid(
                 name_of(path),

@@ -4,6 +4,7 @@
 //! Pixel (row i, column j) of an H x W image lies at `x = ((j + 0.5) / W - 0.5) * patch_size`,
 //! `y = -((i + 0.5) / H - 0.5) * patch_size * H / W`. Positions and `patch_size` (the width) share one length unit.
 
+mod assumed;
 mod layout;
 
 use std::path::{Path, PathBuf};
@@ -14,12 +15,14 @@ use crate::cancel::CancelToken;
 use crate::color::{ColorSpace, Transfer, apply_to_image};
 use crate::error::{Error, Result, printable};
 use crate::image::Image;
+use crate::io::describe::is_image;
 use crate::io::profile::{Decoding, FileColors, Stated};
 use crate::io::resize::{fit_size, shrink};
 use crate::io::{Demand, Pixels, RowReader, Samples, demand, read_stored};
 use crate::unit::Unit;
 use crate::{memory, pool};
 
+pub use assumed::Assumed;
 use layout::{Entry, Layout};
 
 /// The most photos of a capture: no walk around a sample takes as many.
@@ -104,6 +107,8 @@ pub struct CaptureOptions {
     pub size: Option<usize>,
     /// The photos to take; see [`CaptureOptions::views`].
     pub views: Option<Vec<usize>>,
+    /// The light intensity; see [`CaptureOptions::light_intensity`].
+    pub light_intensity: Option<[f64; 3]>,
     /// The transfer function; see [`CaptureOptions::transfer`].
     pub transfer: Option<Transfer>,
     /// The colour space of linear photos; see [`CaptureOptions::color_space`].
@@ -133,6 +138,12 @@ impl CaptureOptions {
     /// Only these photos, counted from 0, in this order; no others are opened.
     pub fn views(mut self, views: impl Into<Vec<usize>>) -> Self {
         self.views = Some(views.into());
+        self
+    }
+
+    /// Replaces the light intensity of every photo.
+    pub fn light_intensity(mut self, light_intensity: [f64; 3]) -> Self {
+        self.light_intensity = Some(light_intensity);
         self
     }
 
@@ -237,6 +248,7 @@ pub struct Capture {
     patch_size: f64,
     transfer: Transfer,
     unit: Option<Unit>,
+    assumed: Option<Assumed>,
     warnings: Vec<String>,
     /// Estimated bytes at the peak of the reading.
     reading: u64,
@@ -246,9 +258,16 @@ impl PartialEq for Capture {
     /// Whether what was read is the same; what the reading took does not count.
     fn eq(&self, other: &Self) -> bool {
         let parts = |c: &Self| (c.patch_size, c.transfer, c.unit.clone());
-        parts(self) == parts(other) && self.photos == other.photos && self.warnings == other.warnings
+        let read = |c: &Self| (c.assumed, c.photos.len());
+        parts(self) == parts(other)
+            && read(self) == read(other)
+            && self.photos == other.photos
+            && self.warnings == other.warnings
     }
 }
+
+/// Bytes of a pixel of a mask: its picture, and what it says.
+const MASK_BYTES: u64 = 3 + 1;
 
 /// Bytes of a photo's pixel: linear RGB, and what is saturated.
 const PIXEL_BYTES: u64 = 3 * 4 + 1;
@@ -257,6 +276,8 @@ impl Capture {
     /// Reads a capture: a folder in the layout of MaterialGAN and the paper (`0.png` or `00.png` ..., `camera_pos.txt`,
     /// `light_pos.txt`, `image_size.txt`, `light_power.txt`; gamma 2.2), a folder with a `capture.json` (which wins), a
     /// `capture.json` itself, or a JSON file of svbrdf-diff-renderer (gamma 2.2). `docs/captures.md` describes them.
+    ///
+    /// An image file is a capture of one photo, of which the rest is [`Assumed`], with warnings.
     ///
     /// # Errors
     /// As [`Capture::open_with`].
@@ -293,7 +314,35 @@ impl Capture {
     /// not read, [`Error::ShapeMismatch`] where counts or photo sizes differ, [`Error::InvalidArgument`] for values out of range:
     /// positions that are not in front of the sample, sizes and intensities that are not positive, views that do not exist.
     pub fn open_with(path: impl AsRef<Path>, options: &CaptureOptions) -> Result<Self> {
-        Self::read(Layout::read(path.as_ref())?, options)
+        let path = path.as_ref();
+        if is_image(path) { Self::of_photo(path, options) } else { Self::read(Layout::read(path)?, options) }
+    }
+
+    /// A capture of one photo, of which nothing is known but its file.
+    fn of_photo(path: &Path, options: &CaptureOptions) -> Result<Self> {
+        if let Some(views) = &options.views {
+            check_views(views, 1)?;
+        }
+        // Programs encode pictures in sRGB, and leave floats linear.
+        let encoding = Encoding::new(Transfer::Srgb, true, None, None, options)?;
+        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+        let demand = |path: &&Path| demand(path, &options.cancel).ok();
+        let load = |path: &&Path| {
+            let stored = read_stored(path, &options.cancel)?;
+            let assumed = Assumed::new(stored.width, stored.height, &stored.camera, options.light_intensity);
+            let (pixels, colors) = (stored.pixels(), stored.colors.as_ref());
+            let mut loaded = develop(&name, assumed.shot(), pixels, colors, None, encoding, options)?;
+            loaded.notes.extend(assumed.notes(stored.camera.flash_fired));
+            loaded.notes.extend(stored.notes);
+            // A stated intensity was converted by its colour space.
+            let light_intensity = loaded.photo.shot.light_intensity;
+            let assumed = Assumed { light_intensity, ..assumed }.with_light_of(&loaded.photo.image);
+            loaded.photo.shot = assumed.shot();
+            Ok(Loaded { assumed: Some(assumed), ..loaded })
+        };
+        let (loaded, reading) = read_all(&[path], demand, load, options)?;
+        let (width, height) = loaded[0].full_size;
+        Self::assemble(loaded, Assumed::patch_size(width, height), None, options.size, reading)
     }
 
     /// A capture from image files and where camera and light stood for each; the rest as in [`Capture::from_photos`].
@@ -319,7 +368,7 @@ impl Capture {
     ) -> Result<Self> {
         let entry = |(path, shot): &(PathBuf, Shot)| {
             let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-            Entry { name, path: path.clone(), shot: *shot }
+            Entry { name, path: path.clone(), shot: *shot, saturated: None }
         };
         let entries = files.iter().map(entry).collect();
         let (color_space, implied) = (None, false);
@@ -338,11 +387,19 @@ impl Capture {
             None => entries.iter().collect(),
         };
         // Of what is no photo the reading says what is wrong.
-        let demand = |entry: &&Entry| demand(&entry.path, &options.cancel).ok();
+        let demand = |entry: &&Entry| {
+            let demand = demand(&entry.path, &options.cancel).ok()?;
+            let mask = if entry.saturated.is_some() { MASK_BYTES * (demand.size.0 * demand.size.1) as u64 } else { 0 };
+            Some(Demand { stored: demand.stored.saturating_add(mask), ..demand })
+        };
         let load = |entry: &&Entry| {
             let stored = read_stored(&entry.path, &options.cancel)?;
             let (pixels, colors) = (stored.pixels(), stored.colors.as_ref());
-            let photo = develop(&entry.name, entry.shot, pixels, colors, encoding, options)?;
+            let mask = match &entry.saturated {
+                Some(path) => Some(mask(path, pixels, &options.cancel)?),
+                None => None,
+            };
+            let photo = develop(&entry.name, entry.shot, pixels, colors, mask.as_deref(), encoding, options)?;
             Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
         };
         let (loaded, reading) = read_all(&selected, demand, load, options)?;
@@ -403,7 +460,7 @@ impl Capture {
         let load = |photo: &&PhotoPixels<'_>| {
             let PhotoPixels { name, shot, width, height, channels, samples } = **photo;
             let pixels = Pixels { width, height, channels, samples };
-            develop(name, shot, pixels, None, encoding, options)
+            develop(name, shot, pixels, None, None, encoding, options)
         };
         let (loaded, reading) = read_all(&selected, demand, load, options)?;
         Self::assemble(loaded, patch_size, None, options.size, reading)
@@ -431,7 +488,7 @@ impl Capture {
             .into_iter()
             .map(|photo| {
                 let full_size = (photo.image.width(), photo.image.height());
-                Loaded { photo, transfer, full_size, notes: Vec::new() }
+                Loaded { photo, transfer, full_size, assumed: None, notes: Vec::new() }
             })
             .collect();
         Self::assemble(loaded, patch_size, None, None, 0)
@@ -447,7 +504,7 @@ impl Capture {
         let Some(first) = loaded.first() else {
             return Err(Error::invalid("capture", "expected at least one photo, got 0"));
         };
-        let ((width, height), first_name) = (first.full_size, &first.photo.name);
+        let ((width, height), first_name, assumed) = (first.full_size, &first.photo.name, first.assumed);
         if let Some(other) = loaded.iter().find(|other| other.full_size != (width, height)) {
             return Err(Error::shape(
                 &other.photo.name,
@@ -474,7 +531,7 @@ impl Capture {
             warnings.push(printable(format_args!("{}: {note}", names.join(", "))));
         }
         let photos = loaded.into_iter().map(|loaded| loaded.photo).collect();
-        Ok(Self { photos, patch_size, transfer, unit, warnings, reading })
+        Ok(Self { photos, patch_size, transfer, unit, assumed, warnings, reading })
     }
 
     /// Adds the photos of `other`, for hosts that hand them over one at a time.
@@ -561,6 +618,25 @@ impl Capture {
         self.reading
     }
 
+    /// The capture with its length unit named.
+    pub(crate) fn with_unit(self, unit: Unit) -> Self {
+        Self { unit: Some(unit), ..self }
+    }
+
+    /// What was assumed, of one photo that came without a capture.
+    pub fn assumed(&self) -> Option<&Assumed> {
+        self.assumed.as_ref()
+    }
+
+    /// The capture of one photo under other assumptions.
+    pub(crate) fn with_assumed(&self, assumed: Assumed) -> Result<Self> {
+        let shot = assumed.shot();
+        shot.check(&self.photos[0].name)?;
+        let photos = self.photos.iter().map(|photo| Photo { shot, ..photo.clone() }).collect();
+        let (unit, warnings) = (self.unit.clone(), self.warnings.clone());
+        Ok(Self { photos, unit, warnings, assumed: Some(assumed), ..*self })
+    }
+
     /// What a user should know about how the capture was read.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
@@ -581,17 +657,20 @@ struct Loaded {
     photo: Photo,
     transfer: Transfer,
     full_size: (usize, usize),
+    /// What was assumed of a photo without a capture.
+    assumed: Option<Assumed>,
     notes: Vec<String>,
 }
 
 /// Makes a linear photo of stored pixels: decodes, resamples as `options` say, expands grey, converts to Rec. 709, notes what is saturated.
 ///
-/// `colors` is what the file says of its colours. A conversion mixes the channels: a pixel saturated in one is saturated in all then.
+/// `colors` is what the file says of its colours, `mask` which channels are saturated beside those that the values tell. A conversion mixes the channels: a pixel saturated in one is saturated in all then.
 fn develop(
     name: &str,
     shot: Shot,
     pixels: Pixels<'_>,
     colors: Option<&FileColors>,
+    mask: Option<&[u8]>,
     encoding: Encoding,
     options: &CaptureOptions,
 ) -> Result<Loaded> {
@@ -599,6 +678,7 @@ fn develop(
     if options.size == Some(0) {
         return Err(Error::invalid("size", "expected at least 1 pixel, got 0"));
     }
+    let shot = Shot { light_intensity: options.light_intensity.unwrap_or(shot.light_intensity), ..shot };
     let (stated, mut notes) = encoding.of_photo(pixels.samples);
     let (decoding, note) = Decoding::new(stated, colors, pixels.colors())
         .map_err(|got| Error::UnsupportedFormat { name: name.to_owned(), got })?;
@@ -619,16 +699,17 @@ fn develop(
     let reader = RowReader::new(pixels, &decoding, white_level);
     let full_size = (pixels.width, pixels.height);
     let (width, height) = fit_size(pixels.width, pixels.height, options.size);
-    let (mut values, mut saturated) = shrink(full_size, (width, height), colors, |y, row, mask| {
+    let (mut values, mut saturated) = shrink(full_size, (width, height), colors, |y, row, saturated| {
         options.cancel.check()?;
-        reader.read(y, row, Some(mask));
+        reader.read(y, row, Some(saturated));
+        if let Some(mask) = mask {
+            saturated.iter_mut().zip(&mask[y * full_size.0..]).for_each(|(bits, more)| *bits |= more);
+        }
         Ok(())
     })?;
     if colors == 1 {
         values = memory::collected(3 * values.len(), values.iter().flat_map(|&grey| [grey; 3]))?;
-        for bits in &mut saturated {
-            *bits *= 7;
-        }
+        saturated.iter_mut().for_each(|bits| *bits = if *bits == 0 { 0 } else { 7 });
     }
     let mut image = Image::new(width, height, 3, values)?;
     if let Some(to_rec709) = &decoding.to_rec709 {
@@ -639,7 +720,30 @@ fn develop(
         }
     }
     let photo = Photo { name: name.to_owned(), shot, image, saturated };
-    Ok(Loaded { photo, transfer: stated.transfer, full_size, notes })
+    Ok(Loaded { photo, transfer: stated.transfer, full_size, assumed: None, notes })
+}
+
+/// Which channels of a photo are saturated, as the picture at `path` says: one byte a pixel.
+///
+/// # Errors
+/// As [`read_stored`]; [`Error::ShapeMismatch`] for a picture of another size.
+fn mask(path: &Path, photo: Pixels<'_>, cancel: &CancelToken) -> Result<Vec<u8>> {
+    let stored = read_stored(path, cancel)?;
+    let (width, height) = (photo.width, photo.height);
+    if (stored.width, stored.height) != (width, height) {
+        let (expected, got) = (format!("{width} x {height} pixels as its photo"), (stored.width, stored.height));
+        return Err(Error::shape(path.display().to_string(), expected, format!("{} x {}", got.0, got.1)));
+    }
+    let (decoding, channels) = (Decoding::transfer(Transfer::Linear), stored.pixels().colors());
+    let reader = RowReader::new(stored.pixels(), &decoding, None);
+    let mut row = memory::filled(0.0f32, width * channels)?;
+    let mut mask = memory::reserved(width * height)?;
+    for y in 0..height {
+        reader.read(y, &mut row, None);
+        let bits = |pixel: &[f32]| (0..3).fold(0, |bits, c| bits | (u8::from(pixel[c % channels] >= 0.5) << c));
+        mask.extend(row.chunks_exact(channels).map(bits));
+    }
+    Ok(mask)
 }
 
 /// The photos that a capture on disk names, none of which is opened.
@@ -648,6 +752,9 @@ fn develop(
 /// As [`Capture::open_with`].
 #[cfg(feature = "cli")]
 pub(crate) fn photo_files(path: &Path) -> Result<Vec<PathBuf>> {
+    if is_image(path) {
+        return Ok(vec![path.to_path_buf()]);
+    }
     Ok(Layout::read(path)?.entries.into_iter().map(|entry| entry.path).collect())
 }
 

@@ -8,10 +8,11 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
+use super::acquire::{SheetOptions, make_capture};
 use super::outputs::keep;
 use super::{CaptureArgs, complain, say, say_json};
 use crate::cancel::CancelToken;
-use crate::capture::photo_files;
+use crate::capture::{Capture, photo_files};
 use crate::color::ColorSpace;
 use crate::error::{Error, Result, printable};
 use crate::fit::options::{FitOptions, Method, Preset};
@@ -22,10 +23,15 @@ use crate::fit::{Fit, fit_material};
 use crate::io::material::{self, MaterialFormat, PREVIEW_PNG, SaveOptions, file_names};
 use crate::nn::Model;
 
+/// The folder beside the maps for the capture that several photos become.
+const CAPTURE: &str = "capture";
+
 #[derive(Args)]
 pub struct FitArgs {
     #[command(flatten)]
     capture: CaptureArgs,
+    #[command(flatten)]
+    sheet: SheetOptions,
     /// Folder for the maps, `material.json` and `preview.png`.
     #[arg(long, short)]
     out: PathBuf,
@@ -133,12 +139,31 @@ impl FitArgs {
 
 pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
     check_folder(&args.out)?;
-    let photos = photo_files(args.capture.path()?)?;
+    let raw = args.capture.photos();
+    let photos = match &raw {
+        Some(photos) => photos.clone(),
+        None => photo_files(args.capture.path()?)?,
+    };
     for name in file_names(args.format()) {
         keep(&args.out.join(name), "a photo that this command reads", photos.clone())?;
     }
     material::check_folder(&args.out, args.format())?;
-    let capture = args.capture.open(args.size, 0, cancel)?;
+    let capture = match raw {
+        Some(photos) => {
+            let folder = args.out.join(CAPTURE);
+            let (report, _) = make_capture(
+                &photos,
+                &folder,
+                &args.sheet.options(args.size, args.capture.budget.max_memory, cancel)?,
+                cancel,
+            )?;
+            for warning in &report.warnings {
+                complain(&format!("warning: {}", printable(warning)));
+            }
+            Capture::open_with(&folder, &args.capture.options(args.size).cancel(cancel.clone()))?
+        }
+        None => args.capture.open(args.size, 0, cancel)?,
+    };
     let model = args.weights.as_deref().map(|path| Model::load_for(path, capture.len())).transpose()?;
     let mut bar = Bar::new(args.quiet || args.json);
     let fit = fit_material(&capture, model.as_ref(), &args.fit_options(cancel.clone()), &mut |progress| {
@@ -148,6 +173,10 @@ pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
     bar.finish();
     let Fit { material, deviations, report } = fit?;
     let report_json = serde_json::to_value(&report).map_err(|error| Error::invalid("report", error.to_string()))?;
+    let capture = match report.assumed {
+        Some(assumed) => capture.with_assumed(assumed)?,
+        None => capture,
+    };
     let preview = super::preview::preview(&material, &capture, cancel)?;
     let save_options = args.save_options().report(report_json.clone()).deviations(deviations).preview(preview);
     material.save_unless(&args.out, &save_options, cancel)?;

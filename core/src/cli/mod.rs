@@ -1,5 +1,6 @@
 //! The command line, as a library function so that every package can offer it.
 
+mod acquire;
 mod evaluate;
 mod export;
 mod fit;
@@ -7,6 +8,7 @@ mod info;
 mod outputs;
 mod preview;
 mod render;
+mod sheet;
 mod train;
 
 use std::ffi::OsString;
@@ -19,7 +21,7 @@ use crate::cancel::CancelToken;
 use crate::capture::{Capture, CaptureOptions};
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result, printable};
-use crate::io::describe::describe;
+use crate::io::describe::{describe, is_image};
 use crate::io::material::{LoadOptions, MATERIAL_JSON};
 use crate::material::Material;
 use crate::memory::{self, parse_bytes};
@@ -40,6 +42,10 @@ const EXIT_CODES: &str = "Exit codes: 0 done, 2 bad arguments or capture, 3 a fi
 
 #[derive(Subcommand)]
 enum Command {
+    /// Write a sheet to print: its tags around the sample tell where photos were taken from.
+    Sheet(sheet::SheetArgs),
+    /// Make a capture of photos that show the sample in the window of a printed sheet.
+    Acquire(acquire::AcquireArgs),
     /// Fit a material to a capture.
     Fit(fit::FitArgs),
     /// Render a material from a camera and a light position.
@@ -57,14 +63,17 @@ enum Command {
 /// How a capture is read; the same for every command that takes one.
 #[derive(Args)]
 struct CaptureArgs {
-    /// Folder of a capture, or its JSON file.
+    /// Folder of a capture, or its JSON file; or one photo, taken from straight above with the flash. `fit` takes several photos of a sheet, too.
     capture: PathBuf,
-    /// What follows, such as photos by their names, to be told what a capture is.
-    #[arg(hide = true)]
+    /// More photos, that show the sample in the window of a printed sheet (fit only).
     more: Vec<PathBuf>,
     /// Photos to take, counted from 0: 0,2,5.
     #[arg(long, value_delimiter = ',', value_name = "I,J,...", allow_hyphen_values = true)]
     views: Option<Vec<usize>>,
+    /// Light intensity of every photo, one number or three, instead of what the capture states or what is chosen for one photo: a white diffuse patch
+    /// at distance r has the radiance intensity / (pi r^2).
+    #[arg(long, value_name = "R,G,B", allow_hyphen_values = true)]
+    light_intensity: Option<Intensity>,
     /// Transfer function of the photos, instead of what the capture states.
     #[arg(long)]
     transfer: Option<TransferArg>,
@@ -99,7 +108,7 @@ impl CaptureArgs {
     fn path(&self) -> Result<&Path> {
         if let Some(second) = self.more.first() {
             let reason = format!(
-                "expected one folder or JSON file, got {}: {} ({}), {} ({}){}; a capture also says where camera and light stood for each photo, see docs/captures.md",
+                "expected one folder or JSON file, or one photo, got {}: {} ({}), {} ({}){}; several photos need a capture, which says where camera and light stood for each, see docs/captures.md",
                 self.more.len() + 1,
                 self.capture.display(),
                 describe(&self.capture),
@@ -112,6 +121,12 @@ impl CaptureArgs {
         Ok(&self.capture)
     }
 
+    /// The photos, if several were given.
+    fn photos(&self) -> Option<Vec<PathBuf>> {
+        let all: Vec<PathBuf> = std::iter::once(&self.capture).chain(&self.more).cloned().collect();
+        (all.len() > 1 && all.iter().all(|path| is_image(path))).then_some(all)
+    }
+
     /// The capture, beside `in_use` bytes of the budget.
     fn open(&self, size: Option<usize>, in_use: u64, cancel: &CancelToken) -> Result<Capture> {
         Capture::open_with(self.path()?, &self.options(size).in_use(in_use).cancel(cancel.clone()))
@@ -121,6 +136,7 @@ impl CaptureArgs {
         let mut options = CaptureOptions::new();
         options.size = size;
         options.views.clone_from(&self.views);
+        options.light_intensity = self.light_intensity.map(|intensity| intensity.0);
         options.transfer = self.transfer.map(Transfer::from);
         options.color_space = self.color_space.map(ColorSpace::from);
         options.ignore_profiles = self.ignore_profiles;
@@ -180,6 +196,43 @@ impl std::str::FromStr for Triple {
     }
 }
 
+/// Intensity of a light: one number for all channels, or three.
+#[derive(Clone, Copy)]
+struct Intensity([f64; 3]);
+
+impl std::str::FromStr for Intensity {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        match text.trim().parse() {
+            Ok(value) => Ok(Self([value; 3])),
+            Err(_) => text
+                .parse()
+                .map(|Triple(values)| Self(values))
+                .map_err(|_| format!("expected one number or three r,g,b, got {text:?}")),
+        }
+    }
+}
+
+/// A length with its unit, millimetres without one.
+#[derive(Clone, Copy)]
+struct Millimetres(f64);
+
+impl std::str::FromStr for Millimetres {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let text = text.trim();
+        let units = [("mm", 1.0), ("cm", 10.0), ("m", 1000.0), ("in", 25.4)];
+        let unit = units.into_iter().find_map(|(name, size)| text.strip_suffix(name).map(|number| (number, size)));
+        let (number, size) = unit.unwrap_or((text, 1.0));
+        match number.trim().parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(Self(value * size)),
+            _ => Err(format!("expected a length in mm, cm, m or in, such as 100mm, got {text:?}")),
+        }
+    }
+}
+
 /// Runs the command line with `arguments` (the program's name first) and returns its exit code.
 ///
 /// Results go to standard output, progress, warnings and one-line errors to standard error.
@@ -205,6 +258,8 @@ pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) ->
     // A host that has its own handler keeps it.
     drop(ctrlc::set_handler(move || on_interrupt.cancel()));
     let result = match cli.command {
+        Command::Sheet(args) => sheet::run(&args),
+        Command::Acquire(args) => acquire::run(&args, &cancel),
         Command::Fit(args) => fit::run(&args, &cancel),
         Command::Render(args) => render::run(&args, &cancel),
         Command::Evaluate(args) => evaluate::run(&args, &cancel),

@@ -60,6 +60,8 @@ pub struct Fit {
 
 /// Recovers the material that the photos of `capture` show.
 ///
+/// One photo of which the light is [`Assumed`](crate::capture::Assumed) is fitted twice, the second time under the light that the first result calls for.
+///
 /// `model` may be `None`: then [`Model::embedded`]. `progress` is called at least after every step and stops the run when it breaks.
 ///
 /// # Errors
@@ -72,6 +74,22 @@ pub fn fit_material(
     progress: &mut ProgressFn<'_>,
 ) -> Result<Fit> {
     let started = Instant::now();
+    let fit = fit_stated(capture, 0, model, options, started, progress)?;
+    let Some(assumed) = capture.assumed().filter(|assumed| assumed.light_is_chosen) else { return Ok(fit) };
+    let assumed = assumed.with_light_for(&fit.material);
+    drop(fit);
+    fit_stated(&capture.with_assumed(assumed)?, capture.memory(), model, options, started, progress)
+}
+
+/// [`fit_material`] under the light that `capture` states, beside `held` bytes.
+fn fit_stated(
+    capture: &Capture,
+    held: u64,
+    model: Option<&Model>,
+    options: &FitOptions,
+    started: Instant,
+    progress: &mut ProgressFn<'_>,
+) -> Result<Fit> {
     options.check()?;
     let mut embedded = None;
     let model = match (options.method, model) {
@@ -83,6 +101,7 @@ pub fn fit_material(
     let pool = pool(options.threads)?;
     // The need depends on the number of threads.
     let Estimate { in_use, peak } = pool.install(|| memory::estimate(capture, model, way));
+    let (in_use, peak) = (in_use.saturating_add(held), peak.saturating_add(held));
     let (width, height, photos) = (capture.width(), capture.height(), capture.len());
     let what = format!("a fit to {photos} photos of {width} x {height} pixels");
     crate::memory::check(&what, peak, crate::memory::allowed(options.max_memory, in_use))?;
@@ -132,6 +151,7 @@ pub fn fit_material(
                 .map(|photo| name(&capture.photos()[photo]))
                 .collect(),
             transfer: capture.transfer(),
+            assumed: capture.assumed().copied(),
             stages,
             photo_errors,
             light_gains: gains.map(|gains| {

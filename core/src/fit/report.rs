@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::capture::Assumed;
 use crate::color::Transfer;
 use crate::fit::descent::Descent;
 use crate::fit::options::{Method, Preset};
@@ -60,6 +61,9 @@ pub struct FitReport {
     pub photos_left_out: Vec<String>,
     /// The transfer function the photos were decoded with.
     pub transfer: Transfer,
+    /// What was assumed of a photo that came without a capture.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub assumed: Option<Assumed>,
     /// The stages that ran, in order.
     pub stages: Vec<StageReport>,
     /// Error of each photo re-rendered under the stated light: RMSE of gamma 2.2 encoded values, clamped to [0, 1].

@@ -59,8 +59,8 @@ impl Grade {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct Reason {
-    /// A word that stays the same: `photos_contradict`, `light_wrong`, `light_uneven`, `positions`, `one_photo`, `little_parallax`, `saturated`, `unexplained`,
-    /// `model_lacks`.
+    /// A word that stays the same: `photos_contradict`, `light_wrong`, `assumed`, `light_uneven`, `positions`, `one_photo`, `little_parallax`, `saturated`,
+    /// `unexplained`, `model_lacks`.
     pub code: &'static str,
     /// What was found.
     pub text: String,
@@ -156,6 +156,13 @@ pub(super) fn verdict(evidence: &Evidence<'_>) -> Verdict {
             LIGHT_WRONG,
             format!("{}: its light is {gain:.2} times what is stated, the most that a fit grants", photo.name),
             "measure the light of each photo, or fix exposure and flash",
+        );
+    }
+    if let Some(assumed) = evidence.capture.assumed() {
+        reason(
+            "assumed",
+            assumed.summary(),
+            "take several photos and state where camera and light stood in a capture.json (docs/captures.md)",
         );
     }
     let shift = |photo: usize| evidence.shifts[photo];

@@ -11,6 +11,7 @@ use zune_jpeg::errors::DecodeErrors;
 use zune_jpeg::zune_core::colorspace::ColorSpace as JpegColors;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
+use super::exif::{CameraData, Exif};
 use super::file::{self, read_file_unless};
 use super::profile::{Decoding, FileColors};
 use super::{exr, jpeg, tiff};
@@ -103,6 +104,8 @@ pub(crate) struct Stored {
     pub samples: OwnedSamples,
     /// What the file says of its colours; nothing where it does not.
     pub colors: Option<FileColors>,
+    /// How it was taken, as far as the file says.
+    pub camera: CameraData,
     /// What a user may want to know about how the file was read.
     pub notes: Vec<String>,
 }
@@ -150,7 +153,7 @@ impl Stored {
         let (width, height) = if swaps_axes(orientation) { (height, width) } else { (width, height) };
         let mut notes = self.notes;
         notes.push(format!("orientation {} of the file applied", orientation.to_exif()));
-        Ok(Self { width, height, channels, samples, colors: self.colors, notes })
+        Ok(Self { width, height, channels, samples, colors: self.colors, camera: self.camera, notes })
     }
 }
 
@@ -457,6 +460,7 @@ struct Header {
     bytes_per_pixel: usize,
     orientation: Orientation,
     colors: Option<FileColors>,
+    camera: CameraData,
 }
 
 impl Header {
@@ -468,10 +472,11 @@ impl Header {
         (exif, profile): (Option<&[u8]>, Option<Vec<u8>>),
     ) -> Result<Self> {
         check_size(path, width as u64, height as u64, bytes_per_pixel as u64, file_bytes)?;
-        let exif = exif.map(tiff::Exif::read).unwrap_or_default();
+        let exif = exif.map(Exif::read).unwrap_or_default();
         let profile = profile.filter(|profile| !profile.is_empty()).map(FileColors::Icc);
         let orientation = exif.orientation.unwrap_or(Orientation::NoTransforms);
-        Ok(Self { width, height, bytes_per_pixel, orientation, colors: profile.or(exif.colors) })
+        let (colors, camera) = (profile.or(exif.colors), exif.camera);
+        Ok(Self { width, height, bytes_per_pixel, orientation, colors, camera })
     }
 
     /// What reading takes that holds `beside` bytes beside the pixels, the file's among them.
@@ -508,9 +513,9 @@ fn decode_png(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored>
         DynamicImage::ImageRgba16(image) => (4, OwnedSamples::U16(image.into_raw())),
         other => return Err(unsupported(path, format!("{:?} pixels", other.color()))),
     };
-    let Header { width, height, orientation, colors, .. } = header;
+    let Header { width, height, orientation, colors, camera, .. } = header;
     let (colors, notes) = (png_colors(bytes, colors), Vec::new());
-    Stored { width, height, channels, samples, colors, notes }.orient(orientation, cancel)
+    Stored { width, height, channels, samples, colors, camera, notes }.orient(orientation, cancel)
 }
 
 /// What the chunks of a PNG say of its colours beside its profile, by their rank: `cICP`, the profile, `sRGB`, `gAMA` and `cHRM`.
@@ -575,11 +580,11 @@ pub(super) fn decode_jpeg(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Re
     let notes = jpeg::check(path, bytes, cancel)?.into_iter().collect();
     let reader = Cancellable::new(Cursor::new(bytes), cancel);
     let (mut decoder, header) = open_jpeg(path, reader, bytes.len() as u64)?;
-    let Header { width, height, bytes_per_pixel: channels, orientation, colors } = header;
+    let Header { width, height, bytes_per_pixel: channels, orientation, colors, camera } = header;
     let mut samples = memory::filled(0, width * height * channels)?;
     decoder.decode_into(&mut samples).map_err(|e| jpeg_error(path, e))?;
     let samples = OwnedSamples::U8(samples);
-    Stored { width, height, channels, samples, colors, notes }.orient(orientation, cancel)
+    Stored { width, height, channels, samples, colors, camera, notes }.orient(orientation, cancel)
 }
 
 fn jpeg_error(path: &Path, error: DecodeErrors) -> Error {

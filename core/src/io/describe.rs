@@ -33,7 +33,6 @@ pub(crate) fn is_photo(name: &Path) -> bool {
 }
 
 /// Whether a file begins as the images do that are read.
-#[cfg(feature = "cli")]
 pub(crate) fn is_image(path: &Path) -> bool {
     path.is_file() && start_of(path).is_ok_and(|start| Kind::of(&start).is_some())
 }

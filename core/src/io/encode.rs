@@ -57,6 +57,11 @@ pub(crate) fn write_image_in(path: &Path, image: &Image, transfer: Transfer, col
     write_file(path, &bytes)
 }
 
+/// An OpenEXR file of a linear Rec. 709 image, in half precision.
+pub(crate) fn exr_half(path: &Path, image: &Image) -> Result<Vec<u8>> {
+    exr::encode(path, image.width(), image.height(), &named_channels(image)?, Precision::Half, ColorSpace::Rec709)
+}
+
 /// The channels of an image under the names OpenEXR gives them: Y for one, R, G for two, R, G, B for three.
 pub(super) fn named_channels(image: &Image) -> Result<Vec<(&'static str, Vec<f32>)>> {
     let names: &[&'static str] = if image.channels() == 1 { &["Y"] } else { &["R", "G", "B"] };

@@ -14,6 +14,7 @@ use exr::prelude::{ReadChannels, ReadLayers, f16};
 use image::metadata::Orientation;
 
 use super::decode::{Demand, OwnedSamples, Stored, broken, check_size, unsupported};
+use super::exif::CameraData;
 use super::ours::SOFTWARE;
 use super::profile::FileColors;
 use crate::cancel::{CancelToken, Cancellable};
@@ -108,7 +109,15 @@ fn decode_unguarded(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<S
         }
     }
     let (width, height) = (window.width, window.height);
-    Ok(Stored { width, height, channels: picked.len(), samples: OwnedSamples::F32(values), colors, notes })
+    Ok(Stored {
+        width,
+        height,
+        channels: picked.len(),
+        samples: OwnedSamples::F32(values),
+        colors,
+        camera: CameraData::default(),
+        notes,
+    })
 }
 
 /// What reading takes: all channels of the first part, and beside them the picture.

@@ -8,6 +8,7 @@
 mod decode;
 pub(crate) mod describe;
 mod encode;
+mod exif;
 mod exr;
 pub(crate) mod file;
 mod font;
@@ -25,15 +26,16 @@ use std::path::Path;
 pub use encode::write_image;
 #[cfg(feature = "cli")]
 pub(crate) use encode::write_image_in;
-pub(crate) use encode::{png8, png16};
+pub(crate) use encode::{exr_half, png8, png16};
 
 use crate::cancel::CancelToken;
 use crate::color::Transfer;
 use crate::error::Result;
 use crate::image::Image;
 
-pub(crate) use decode::{Demand, Pixels, RowReader, demand, read_stored};
+pub(crate) use decode::{Demand, Pixels, RowReader, Stored, demand, read_stored};
 pub use decode::{MAX_DECODED_BYTES, Samples};
+pub(crate) use exif::CameraData;
 pub(crate) use file::read_file;
 
 /// Reads an image file as linear values: (H, W, 3) for colour, (H, W, 1) for grey. An alpha channel is left out.

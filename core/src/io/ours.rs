@@ -63,6 +63,10 @@ impl Description {
             Self::Export => &["files", "earlier"],
         };
         let unnamed = (self == Self::Material).then(|| PREVIEW_PNG.to_owned());
+        let photos = value.get("photos").and_then(Value::as_array).filter(|_| self == Self::Capture);
+        let masks =
+            photos.into_iter().flatten().filter_map(|photo| photo.get("saturated")?.as_str().map(str::to_owned));
+        let unnamed = unnamed.into_iter().chain(masks);
         keys.iter().flat_map(|key| names_in(value, key)).chain(unnamed).collect()
     }
 }

@@ -17,6 +17,7 @@ use weezl::{BitOrder, LzwStatus, decode::Configuration};
 use super::decode::{
     Demand, MAX_DECODED_BYTES, OwnedSamples, Stored, broken, check_size, decode_jpeg, plausible_bytes, unsupported,
 };
+use super::exif::{CameraData, Exif};
 use super::profile::FileColors;
 use crate::cancel::{CancelToken, Cancellable};
 use crate::color::Chromaticities;
@@ -26,7 +27,7 @@ use crate::memory;
 /// More directories than this no photo file has.
 const MAX_DIRECTORIES: usize = 1024;
 
-mod tag {
+pub(super) mod tag {
     pub const NEW_SUBFILE_TYPE: u16 = 254;
     pub const SUBFILE_TYPE: u16 = 255;
     pub const WIDTH: u16 = 256;
@@ -55,6 +56,13 @@ mod tag {
     pub const ICC_PROFILE: u16 = 34675;
     pub const EXIF_DIRECTORY: u16 = 34665;
     pub const EXIF_COLOR_SPACE: u16 = 40961;
+    pub const FLASH: u16 = 37385;
+    pub const FOCAL_LENGTH: u16 = 37386;
+    pub const PIXEL_X_DIMENSION: u16 = 40962;
+    pub const PIXEL_Y_DIMENSION: u16 = 40963;
+    pub const FOCAL_PLANE_X_RESOLUTION: u16 = 41486;
+    pub const FOCAL_PLANE_RESOLUTION_UNIT: u16 = 41488;
+    pub const FOCAL_LENGTH_35MM: u16 = 41989;
     pub const INTEROPERABILITY_DIRECTORY: u16 = 40965;
     pub const DNG_VERSION: u16 = 50706;
 }
@@ -177,13 +185,18 @@ impl<'a> Directory<'a> {
         self.numbers(tag)?.first().copied()
     }
 
+    /// The directory that a tag points to.
+    pub fn below(&self, tag: u16) -> Option<Self> {
+        self.file.directory(self.number(tag)?)
+    }
+
     /// The bytes of a tag.
     pub fn bytes(&self, tag: u16) -> Option<&'a [u8]> {
         Some(self.entry(tag)?.data)
     }
 
     /// The values of a tag of fractions.
-    fn fractions(&self, tag: u16) -> Option<Vec<f64>> {
+    pub fn fractions(&self, tag: u16) -> Option<Vec<f64>> {
         let entry = self.entry(tag).filter(|entry| entry.kind == 5)?;
         let file = File { bytes: entry.data, ..self.file };
         let fraction = |i: usize| Some(file.number(8 * i, 4)? as f64 / file.number(8 * i + 4, 4)? as f64);
@@ -218,36 +231,8 @@ impl<'a> Directory<'a> {
     }
 
     /// What its orientation tag asks for.
-    fn orientation(&self) -> Option<Orientation> {
+    pub fn orientation(&self) -> Option<Orientation> {
         Orientation::from_exif(u8::try_from(self.number(tag::ORIENTATION)?).ok()?)
-    }
-}
-
-/// What is taken from EXIF data.
-#[derive(Default)]
-pub(super) struct Exif {
-    pub orientation: Option<Orientation>,
-    /// Cameras name Adobe RGB there, often without a profile.
-    pub colors: Option<FileColors>,
-}
-
-impl Exif {
-    pub fn read(exif: &[u8]) -> Self {
-        let Some((file, first)) = File::open(exif) else { return Self::default() };
-        let Some(main) = file.directory(first) else { return Self::default() };
-        let below = |directory: &Directory<'_>, tag| directory.number(tag).and_then(|offset| file.directory(offset));
-        let photo = below(&main, tag::EXIF_DIRECTORY);
-        // DCF 2.0: the colour space is "uncalibrated" and the index of interoperability R03; some cameras write 2.
-        let color_space = photo.as_ref().and_then(|photo| photo.number(tag::EXIF_COLOR_SPACE));
-        let index = photo.as_ref().and_then(|photo| below(photo, tag::INTEROPERABILITY_DIRECTORY));
-        let is_r03 = index.and_then(|index| index.bytes(1)).is_some_and(|index| index.starts_with(b"R03"));
-        let is_adobe_rgb = color_space == Some(2) || color_space == Some(0xffff) && is_r03;
-        let adobe_rgb = FileColors::Chromaticities {
-            chromaticities: Chromaticities::ADOBE_RGB,
-            gamma: Some(563.0 / 256.0),
-            source: "Adobe RGB, which its EXIF data name",
-        };
-        Self { orientation: main.orientation(), colors: is_adobe_rgb.then_some(adobe_rgb) }
     }
 }
 
@@ -273,8 +258,8 @@ fn directories<'a>(file: File<'a>, first: u64) -> Vec<Directory<'a>> {
 }
 
 pub(super) fn decode(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Stored> {
-    let (page, orientation, pages) = open(path, bytes, cancel)?;
-    let mut stored = page.read()?;
+    let Opened { page, orientation, camera, pages } = open(path, bytes, cancel)?;
+    let mut stored = Stored { camera, ..page.read()? };
     if pages > 1 {
         stored.notes.push(format!("the first of {pages} pages read"));
     }
@@ -283,7 +268,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<
 
 /// What reading takes: the picture, and beside it one strip or tile, unpacked.
 pub(super) fn demand(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<Demand> {
-    let (page, orientation, _) = open(path, bytes, cancel)?;
+    let Opened { page, orientation, .. } = open(path, bytes, cancel)?;
     let chunk = (page.chunk_width * page.chunk_height * page.samples * page.size) as u64;
     let sample = match page.kind {
         Kind::U8 => 1,
@@ -297,8 +282,16 @@ pub(super) fn demand(path: &Path, bytes: &[u8], cancel: &CancelToken) -> Result<
     Ok(Demand::new((page.width, page.height), page.colors, stored, beside, orientation))
 }
 
-/// The page that is read, what its orientation is, and how many there are.
-fn open<'a>(path: &'a Path, bytes: &'a [u8], cancel: &'a CancelToken) -> Result<(Page<'a>, Orientation, usize)> {
+/// The page that is read, and what else is said of it.
+struct Opened<'a> {
+    page: Page<'a>,
+    orientation: Orientation,
+    camera: CameraData,
+    /// How many there are.
+    pages: usize,
+}
+
+fn open<'a>(path: &'a Path, bytes: &'a [u8], cancel: &'a CancelToken) -> Result<Opened<'a>> {
     let (file, first) = File::open(bytes).ok_or_else(|| broken(path, "TIFF without a directory: truncated"))?;
     let directories = directories(file, first);
     // Canon's raw files are told by their third word, their tags do not.
@@ -310,7 +303,8 @@ fn open<'a>(path: &'a Path, bytes: &'a [u8], cancel: &'a CancelToken) -> Result<
         return Err(broken(path, "TIFF whose first directory lies beyond its end: truncated"));
     };
     let orientation = page.orientation().unwrap_or(Orientation::NoTransforms);
-    Ok((Page::new(path, bytes, page, cancel)?, orientation, full.len()))
+    let camera = Exif::of(page).camera;
+    Ok(Opened { page: Page::new(path, bytes, page, cancel)?, orientation, camera, pages: full.len() })
 }
 
 /// How the samples of a page are stored.
@@ -484,7 +478,15 @@ impl<'a> Page<'a> {
             Kind::F64 => OwnedSamples::F32(self.floats(|v| f64::from_ne_bytes(v) as f32)?),
         };
         let (channels, colors) = (self.colors, self.file_colors);
-        Ok(Stored { width: self.width, height: self.height, channels, samples, colors, notes: self.notes })
+        Ok(Stored {
+            width: self.width,
+            height: self.height,
+            channels,
+            samples,
+            colors,
+            camera: CameraData::default(),
+            notes: self.notes,
+        })
     }
 
     fn floats<const N: usize>(&self, value: impl Fn([u8; N]) -> f32) -> Result<Vec<f32>> {

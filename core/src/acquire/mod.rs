@@ -1,0 +1,526 @@
+//! From raw photos to a capture: a printed sheet of tags around the sample tells where cameras stood and how bright the light was.
+//!
+//! Every photo goes through `tags` (where the sheet's tags are), all of one lens through `camera` (the lens, and where it stood), every photo through `rectify` (the patch as it looks from
+//! straight above) and all of one lens through `light` (how bright the light was, from the paper).
+
+mod camera;
+mod geometry;
+mod light;
+mod print;
+mod rectify;
+mod report;
+mod save;
+mod sheet;
+mod tags;
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+pub use print::Paper;
+pub use report::{LeftOut, LensReport, PhotoReport, Report};
+#[cfg(feature = "cli")]
+pub(crate) use save::check_folder;
+pub use sheet::{Sheet, Tag};
+
+use crate::cancel::CancelToken;
+use crate::capture::{Capture, MAX_PHOTOS, Photo, Shot};
+use crate::color::Transfer;
+use crate::error::{Error, Result};
+use crate::image::Image;
+use crate::io::{CameraData, Stored, demand, read_stored};
+use crate::unit::Unit;
+use crate::{memory, pool};
+
+use camera::{Calibration, Lens, Place, Points, calibrate};
+use light::PLACES_MIN;
+use rectify::{Part, View, decoding, grey, pixels_across, rectified};
+use tags::{Detection, Found, Line, detect};
+
+/// The fewest tags that tell where a photo was taken from.
+const TAGS_MIN: usize = 4;
+/// Photos that are worked on at a time, at most.
+const AT_A_TIME: usize = 4;
+/// Bytes of a pixel of a rectified photo, and of its files before they are written.
+const KEPT_BYTES: u64 = 3 * 4 + 1 + 3 * 2;
+/// Bytes of a photo's pixel beside those stored: linear RGB and what is saturated, at most of all of them.
+const WORK_BYTES: u64 = 3 * 4 + 1;
+/// Rounds in which corners are measured anew where the lens bends no lines.
+const ROUNDS: usize = 2;
+/// A photo whose tags are farther off than this, in shares of the longer side, and this many times as far as those of the photos of its lens usually are, is left out.
+const ERROR_MAX: f64 = 1e-3;
+const ERROR_RATIO: f64 = 4.0;
+/// Longer side of the rectified photos where nothing is asked for.
+const SIZE: usize = 1024;
+/// Blur in pixels of the rectified photo from which on it is worth a word.
+const BLUR: f64 = 1.0;
+/// Deviation of the paper from what position and light explain from which on it is worth a word, as a share.
+const PAPER_ERROR: f64 = 0.05;
+/// Share of the white between two tags that is looked at.
+const PAPER_SHARE: f64 = 0.4;
+
+/// How photos are made a capture.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct AcquireOptions {
+    /// The sheet that lies around the sample.
+    pub sheet: Sheet,
+    /// How far the sample lies below the sheet's face, in millimetres.
+    pub depth: f64,
+    /// Side of the rectified photos in pixels; 1024 if `None`. They are never finer than the photos.
+    pub size: Option<usize>,
+    /// Where the flash is, seen from the lens: to the right and up in the photo, in millimetres.
+    pub light_offset: [f64; 2],
+    /// Diffuse albedo of the paper.
+    pub paper_white: f64,
+    /// Most bytes the work may use; three quarters of the free memory if `None`.
+    pub max_memory: Option<u64>,
+    /// Stops the work from another thread.
+    pub cancel: CancelToken,
+}
+
+impl AcquireOptions {
+    /// The sample at the face of `sheet`, the flash at the lens, paper of diffuse albedo 0.8.
+    pub fn new(sheet: Sheet) -> Self {
+        let (size, max_memory, cancel) = (None, None, CancelToken::new());
+        Self { sheet, depth: 0.0, size, light_offset: [0.0; 2], paper_white: 0.8, max_memory, cancel }
+    }
+
+    fn check(&self) -> Result<()> {
+        let finite = [self.depth, self.light_offset[0], self.light_offset[1]].iter().all(|value| value.abs() < 1e4);
+        if !finite {
+            let reason = format!("expected lengths below 10 m, got {} and {:?}", self.depth, self.light_offset);
+            return Err(Error::invalid("depth, light_offset", reason));
+        }
+        if !(self.paper_white > 0.0 && self.paper_white <= 1.0) {
+            let reason = format!("expected an albedo above 0 and at most 1, got {}", self.paper_white);
+            return Err(Error::invalid("paper_white", reason));
+        }
+        match self.size {
+            Some(size) if !(16..=16384).contains(&size) => {
+                Err(Error::invalid("size", format!("expected 16 to 16384 pixels, got {size}")))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A capture made of raw photos, and how it came about.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Acquisition {
+    /// The rectified photos with their positions, in millimetres.
+    pub capture: Capture,
+    /// What was found in every photo.
+    pub report: Report,
+}
+
+/// A photo in which the sheet was found.
+struct Sighting {
+    path: PathBuf,
+    size: [usize; 2],
+    camera: CameraData,
+    tags: Vec<Found>,
+    notes: Vec<String>,
+}
+
+/// A photo whose place is known.
+struct Placed {
+    sighting: Sighting,
+    lens: usize,
+    place: Place,
+    error: f64,
+}
+
+/// Makes a capture of photos that show the sample in the window of a printed sheet ([`Sheet`]).
+///
+/// Photos that cannot be used are left out, and named in the report with the reason.
+///
+/// # Errors
+/// [`Error::InvalidArgument`] for options out of range, and if no photo can be used; [`Error::Io`] and [`Error::UnsupportedFormat`] for files that cannot be read;
+/// [`Error::OutOfMemory`]; [`Error::Cancelled`].
+///
+/// # Example
+/// ```no_run
+/// use svbrdf_gcn::acquire::{AcquireOptions, Sheet, acquire};
+///
+/// let photos: Vec<std::path::PathBuf> = vec!["1.jpg".into(), "2.jpg".into(), "3.jpg".into()];
+/// let acquisition = acquire(&photos, &AcquireOptions::new(Sheet::new(100.0)?))?;
+/// acquisition.save("leather")?;
+/// # Ok::<(), svbrdf_gcn::Error>(())
+/// ```
+pub fn acquire(photos: &[PathBuf], options: &AcquireOptions) -> Result<Acquisition> {
+    options.check()?;
+    if photos.is_empty() || photos.len() > MAX_PHOTOS {
+        return Err(Error::invalid("photos", format!("expected 1 to {MAX_PHOTOS}, got {}", photos.len())));
+    }
+    pool::inside(|| {
+        let count = plan(photos, options)?;
+        let mut left_out = Vec::new();
+        let mut sightings = Vec::new();
+        for sighting in at_a_time(photos, count, |path| sighting(path, options))? {
+            match sighting {
+                Ok(sighting) => sightings.push(sighting),
+                Err(photo) => left_out.push(photo),
+            }
+        }
+        let (lenses, placed) = place(sightings, options, &mut left_out);
+        let size = output_size(&lenses, &placed, options);
+        let prepared = at_a_time(&placed, count, |photo| prepare(photo, &lenses, size, options))?;
+        assemble(prepared, &lenses, size, options, left_out)
+    })
+}
+
+/// How many photos are worked on at a time within the budget.
+///
+/// # Errors
+/// [`Error::OutOfMemory`] if there is not the memory for one.
+fn plan(photos: &[PathBuf], options: &AcquireOptions) -> Result<usize> {
+    let side = options.size.unwrap_or(SIZE) as u64;
+    let kept = KEPT_BYTES * side * side * photos.len() as u64;
+    // Of what is no photo the reading says what is wrong.
+    let demands = photos.iter().filter_map(|path| demand(path, &options.cancel).ok());
+    let one =
+        demands.map(|demand| demand.decoding.max(demand.stored + WORK_BYTES * (demand.size.0 * demand.size.1) as u64));
+    let one = one.max().unwrap_or(0) + tags::SEARCH_MEMORY;
+    let allowed = memory::allowed(options.max_memory, 0);
+    let needed = |count: usize| kept.saturating_add(one.saturating_mul(count as u64));
+    memory::check(&format!("acquiring {} photos", photos.len()), needed(1), allowed)?;
+    Ok((1..=AT_A_TIME).rev().find(|&count| needed(count) <= allowed).unwrap_or(1))
+}
+
+/// `work` on `count` of the items at a time; in their order.
+fn at_a_time<'a, T: Sync, U: Send>(
+    items: &'a [T],
+    count: usize,
+    work: impl Fn(&'a T) -> Result<U> + Sync,
+) -> Result<Vec<U>> {
+    let mut all = Vec::with_capacity(items.len());
+    for some in items.chunks(count) {
+        let done: Vec<Result<U>> = some.par_iter().map(&work).collect();
+        for item in done {
+            all.push(item?);
+        }
+    }
+    Ok(all)
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// Looks for the sheet in a photo.
+fn sighting(path: &Path, options: &AcquireOptions) -> Result<std::result::Result<Sighting, LeftOut>> {
+    let name = name_of(path);
+    let stored = read_stored(path, &options.cancel)?;
+    let (decoding, note) = decoding(&name, &stored)?;
+    let Detection { tags, doubled, mirrored } =
+        detect(&grey(&stored, &decoding, &options.cancel)?, &options.sheet, &options.cancel)?;
+    let all = options.sheet.tags.len();
+    if tags.len() < TAGS_MIN {
+        let reason = if mirrored > tags.len() {
+            "shows the sheet as a mirror does: take it with the main camera, or flip it back".to_owned()
+        } else if doubled.len() >= TAGS_MIN {
+            format!("shows {} tags more than once: one sheet in each photo", doubled.len())
+        } else {
+            format!(
+                "{} of the sheet's {all} tags were found, {TAGS_MIN} are needed: show the whole sheet, in focus",
+                tags.len()
+            )
+        };
+        return Ok(Err(LeftOut { photo: name, reason }));
+    }
+    let mut notes = stored.notes.clone();
+    notes.extend(note);
+    if !doubled.is_empty() {
+        notes.push(format!("tags {doubled:?} are there more than once and were not used"));
+    }
+    if stored.camera.flash_fired == Some(false) {
+        notes.push("its EXIF data say that the flash did not fire".to_owned());
+    }
+    let size = [stored.width, stored.height];
+    Ok(Ok(Sighting { path: path.to_owned(), size, camera: stored.camera, tags, notes }))
+}
+
+/// The lenses that photos were taken with, and where each stood. Photos that do not agree with the others of their lens are left out.
+fn place(
+    sightings: Vec<Sighting>,
+    options: &AcquireOptions,
+    left_out: &mut Vec<LeftOut>,
+) -> (Vec<LensReport>, Vec<Placed>) {
+    let mut groups: Vec<Vec<Sighting>> = Vec::new();
+    for sighting in sightings {
+        let same = |group: &&mut Vec<Sighting>| {
+            let [width, height] = group[0].size;
+            let turned = sighting.size == [width, height] || sighting.size == [height, width];
+            turned && group[0].camera.has_same_lens(&sighting.camera)
+        };
+        match groups.iter_mut().find(same) {
+            Some(group) => group.push(sighting),
+            None => groups.push(vec![sighting]),
+        }
+    }
+    let (mut lenses, mut placed) = (Vec::new(), Vec::new());
+    for mut group in groups {
+        let Some(calibration) = calibrated(&mut group, options, left_out) else { continue };
+        let Calibration { lens, places, errors } = calibration;
+        let [width, height] = group[0].size;
+        let focal_length_from_exif = group[0].camera.focal_length_in_pixels(width, height);
+        let photos = group.len();
+        for ((sighting, place), error) in group.into_iter().zip(places).zip(errors) {
+            placed.push(Placed { sighting, lens: lenses.len(), place, error });
+        }
+        lenses.push(LensReport {
+            photos,
+            focal_length: lens.focal_length,
+            focal_length_from_exif,
+            radial: lens.radial,
+            fall_off: [0.0; 2],
+        });
+    }
+    (lenses, placed)
+}
+
+/// The lens of a group of photos, without those that do not agree.
+fn calibrated(group: &mut Vec<Sighting>, options: &AcquireOptions, left_out: &mut Vec<LeftOut>) -> Option<Calibration> {
+    loop {
+        let [width, height] = group.first()?.size;
+        let (longer, focal_length) = (width.max(height), group[0].camera.focal_length_in_pixels(width, height));
+        let mut lens = None;
+        let mut found = None;
+        for _ in 0..=ROUNDS {
+            let points: Vec<Points> = group.iter().map(|sighting| points(sighting, lens.as_ref(), options)).collect();
+            let calibration = calibrate(&points, longer, focal_length)?;
+            lens = Some(calibration.lens);
+            found = Some(calibration);
+        }
+        let calibration = found?;
+        let mut sorted = calibration.errors.clone();
+        sorted.sort_by(f64::total_cmp);
+        let usual = sorted[(sorted.len() - 1) / 2];
+        let limit = (ERROR_RATIO * usual).max(ERROR_MAX * longer as f64);
+        let worst = (0..group.len()).max_by(|&a, &b| calibration.errors[a].total_cmp(&calibration.errors[b]))?;
+        if calibration.errors[worst] <= limit {
+            return Some(calibration);
+        }
+        let sighting = group.remove(worst);
+        let reason = format!(
+            "its tags are {:.1} pixels from where they should be, those of other photos {usual:.1}: a bent sheet, another zoom, or motion",
+            calibration.errors[worst]
+        );
+        left_out.push(LeftOut { photo: name_of(&sighting.path), reason });
+    }
+}
+
+/// Corners of tags on the sheet and in the photo, from its middle. With a lens, edges are straight lines where that bends none.
+fn points(sighting: &Sighting, lens: Option<&Lens>, options: &AcquireOptions) -> Points {
+    let middle = sighting.size.map(|size| size as f64 / 2.0);
+    let from_middle = |point: [f64; 2]| [point[0] - middle[0], point[1] - middle[1]];
+    let mut points = Points::new();
+    for tag in &sighting.tags {
+        let corners = match lens {
+            None => tag.corners.map(|corner| Some(from_middle(corner))),
+            Some(lens) => {
+                let lines = [0, 1, 2, 3].map(|i| {
+                    let straight: Vec<_> =
+                        tag.edges[i].iter().map(|&point| lens.undistort(from_middle(point))).collect();
+                    Line::through(&straight)
+                });
+                [0, 1, 2, 3].map(|i| lines[(i + 3) % 4].meet(&lines[i]).map(|direction| lens.distort(direction)))
+            }
+        };
+        for (on, at) in options.sheet.tags[tag.index].corners.into_iter().zip(corners) {
+            points.extend(at.map(|at| (on, at)));
+        }
+    }
+    points
+}
+
+/// Side of the rectified photos: what is asked for, but no finer than the finest photo.
+fn output_size(lenses: &[LensReport], placed: &[Placed], options: &AcquireOptions) -> usize {
+    let across = |photo: &Placed| {
+        let lens = lenses[photo.lens].lens();
+        let view = View { lens: &lens, place: &photo.place, size: photo.sighting.size };
+        pixels_across(&view, options.sheet.patch, options.depth)
+    };
+    let finest = placed.iter().map(across).fold(0.0, f64::max).ceil() as usize;
+    options.size.unwrap_or(SIZE).min(finest.max(16))
+}
+
+/// A photo that was rectified, and its paper.
+struct Prepared<'a> {
+    photo: &'a Placed,
+    patch: std::result::Result<(Image, Vec<u8>), String>,
+    paper: Vec<light::Paper>,
+    light: [f64; 3],
+    blur: f64,
+}
+
+fn prepare<'a>(
+    photo: &'a Placed,
+    lenses: &[LensReport],
+    size: usize,
+    options: &AcquireOptions,
+) -> Result<Prepared<'a>> {
+    let name = name_of(&photo.sighting.path);
+    let stored = read_stored(&photo.sighting.path, &options.cancel)?;
+    let (decoding, _) = decoding(&name, &stored)?;
+    let lens = lenses[photo.lens].lens();
+    let view = View { lens: &lens, place: &photo.place, size: photo.sighting.size };
+    let [right, up] = options.light_offset;
+    let light = photo.place.in_sheet([right, -up, 0.0]);
+    let paper = paper(&stored, &decoding, &view, light, options)?;
+    let patch = options.sheet.patch;
+    let rectified = rectified(&stored, &decoding, &view, (patch, options.depth, size), &options.cancel)?;
+    let blurs = photo.sighting.tags.iter().map(|tag| tag.blur).sum::<f64>();
+    let blur = blurs / photo.sighting.tags.len() as f64 * size as f64 / pixels_across(&view, patch, options.depth);
+    let patch = rectified.ok_or_else(|| "the sample's square is not all in the photo".to_owned());
+    Ok(Prepared { photo, patch, paper, light, blur })
+}
+
+/// The paper between neighbouring tags.
+fn paper(
+    stored: &Stored,
+    decoding: &crate::io::profile::Decoding,
+    view: &View<'_>,
+    light: [f64; 3],
+    options: &AcquireOptions,
+) -> Result<Vec<light::Paper>> {
+    let tags = &options.sheet.tags;
+    let center = |tag: &Tag| [0, 1].map(|i| tag.corners.iter().map(|corner| corner[i]).sum::<f64>() / 4.0);
+    let mut papers = Vec::new();
+    for (i, tag) in tags.iter().enumerate() {
+        let (a, b) = (center(tag), center(&tags[(i + 1) % tags.len()]));
+        let gap = (a[0] - b[0]).hypot(a[1] - b[1]) - options.sheet.tag_side();
+        let middle = [0, 1].map(|k| (a[k] + b[k]) / 2.0);
+        let half = PAPER_SHARE * gap / 2.0;
+        let places: Vec<[f64; 2]> = (0..25)
+            .map(|k| {
+                [middle[0] + half * (f64::from(k % 5) / 2.0 - 1.0), middle[1] + half * (f64::from(k / 5) / 2.0 - 1.0)]
+            })
+            .collect();
+        let pixels: Vec<[f64; 2]> = places.iter().map(|&[x, y]| view.pixel([x, y, 0.0])).collect();
+        let Some(part) = Part::around(stored, decoding, &pixels, &options.cancel)? else { continue };
+        let colors: Vec<([f64; 3], u8)> = pixels.iter().map(|&pixel| part.at(pixel)).collect();
+        let radiance = [0, 1, 2].map(|c| colors.iter().map(|(color, _)| color[c]).sum::<f64>() / 25.0);
+        if colors.iter().any(|(_, saturated)| *saturated != 0) || radiance.iter().any(|value| *value <= 0.0) {
+            continue;
+        }
+        let to_light = [light[0] - middle[0], light[1] - middle[1], light[2]];
+        let distance = geometry::norm(to_light);
+        papers.push(light::Paper {
+            radiance,
+            irradiance: to_light[2] / distance.powi(3),
+            r2: view.place.tangent2([middle[0], middle[1], 0.0]),
+        });
+    }
+    Ok(papers)
+}
+
+/// Light of every photo, fall-off divided out, and what there is to say.
+fn assemble(
+    prepared: Vec<Prepared<'_>>,
+    lenses: &[LensReport],
+    size: usize,
+    options: &AcquireOptions,
+    mut left_out: Vec<LeftOut>,
+) -> Result<Acquisition> {
+    let mut lenses = lenses.to_vec();
+    let mut usable: Vec<(Prepared<'_>, Image, Vec<u8>)> = Vec::new();
+    for mut photo in prepared {
+        let name = name_of(&photo.photo.sighting.path);
+        let patch = std::mem::replace(&mut photo.patch, Err(String::new()));
+        match patch {
+            Err(reason) => left_out.push(LeftOut { photo: name, reason }),
+            Ok(_) if photo.paper.len() < PLACES_MIN => {
+                let reason = format!(
+                    "the paper is overexposed or black but in {} of {} places, {PLACES_MIN} are needed: expose it right, the flash on",
+                    photo.paper.len(),
+                    options.sheet.tags.len()
+                );
+                left_out.push(LeftOut { photo: name, reason });
+            }
+            Ok((image, saturated)) => usable.push((photo, image, saturated)),
+        }
+    }
+    if usable.is_empty() {
+        let reasons: Vec<String> =
+            left_out.iter().take(5).map(|out| format!("{}: {}", out.photo, out.reason)).collect();
+        let more = if left_out.len() > 5 { format!("; and {} more", left_out.len() - 5) } else { String::new() };
+        return Err(Error::invalid(
+            "photos",
+            format!(
+                "none can be used: {}{more}; svbrdf-gcn sheet writes the sheet to print, docs/capturing.md says how to use it",
+                reasons.join("; ")
+            ),
+        ));
+    }
+    let (mut photos, mut reports, mut warnings) = (Vec::new(), Vec::new(), Vec::new());
+    let mut intensities = vec![([0.0; 3], 0.0); usable.len()];
+    for (index, lens) in lenses.iter_mut().enumerate() {
+        let own: Vec<usize> = (0..usable.len()).filter(|&i| usable[i].0.photo.lens == index).collect();
+        if own.is_empty() {
+            continue;
+        }
+        let papers: Vec<Vec<light::Paper>> = own.iter().map(|&i| usable[i].0.paper.clone()).collect();
+        let light = light::estimate(&papers, options.paper_white);
+        lens.fall_off = light.fall_off;
+        for (k, &i) in own.iter().enumerate() {
+            intensities[i] = (light.intensities[k], light.errors[k]);
+        }
+    }
+    for ((photo, mut image, saturated), (light_intensity, paper_error)) in usable.into_iter().zip(intensities) {
+        let Placed { sighting, lens, place, error } = photo.photo;
+        let file = name_of(&sighting.path);
+        divide_fall_off(&mut image, place, lenses[*lens].fall_off, options);
+        let up = |point: [f64; 3]| [point[0], point[1], point[2] + options.depth];
+        let shot = Shot { camera: up(place.position()), light: up(photo.light), light_intensity };
+        if let Some((field, reason)) = shot.misplaced() {
+            left_out.push(LeftOut { photo: file, reason: format!("{field} {reason}") });
+            continue;
+        }
+        warnings.extend(sighting.notes.iter().map(|note| format!("{file}: {note}")));
+        if photo.blur > BLUR {
+            warnings.push(format!(
+                "{file}: is blurred by {:.1} pixels of the rectified photo; hold still, and let the camera focus",
+                photo.blur
+            ));
+        }
+        if paper_error > PAPER_ERROR {
+            warnings.push(format!(
+                "{file}: its paper is off by {:.0} % from what one light explains; keep other light out, and the sheet flat",
+                100.0 * paper_error
+            ));
+        }
+        let full = saturated.iter().filter(|&&bits| bits != 0).count();
+        reports.push(PhotoReport {
+            photo: file,
+            file: save::photo_name(photos.len()),
+            lens: *lens,
+            tags: sighting.tags.len(),
+            tag_error: *error,
+            blur: photo.blur,
+            paper_error,
+            saturated: full as f64 / saturated.len() as f64,
+        });
+        photos.push(Photo { name: save::photo_name(photos.len()), shot, image, saturated });
+    }
+    warnings.extend(left_out.iter().map(|out| format!("{}: left out: {}", out.photo, out.reason)));
+    let capture = Capture::new(photos, options.sheet.patch, Transfer::Linear)?.with_unit(Unit::new("mm"));
+    let report = Report { photos: reports, left_out, lenses, size, warnings };
+    Ok(Acquisition { capture, report })
+}
+
+/// Takes out of a rectified photo what lens and flash lose towards the edges.
+fn divide_fall_off(image: &mut Image, place: &Place, fall_off: [f64; 2], options: &AcquireOptions) {
+    let (side, patch) = (image.width(), options.sheet.patch);
+    let pitch = patch / side as f64;
+    let row = |(y, row): (usize, &mut [f32])| {
+        for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
+            let at = [(x as f64 + 0.5) * pitch - patch / 2.0, patch / 2.0 - (y as f64 + 0.5) * pitch, -options.depth];
+            let factor = 1.0 / light::loss(fall_off, place.tangent2(at));
+            pixel.iter_mut().for_each(|value| *value = (f64::from(*value) * factor) as f32);
+        }
+    };
+    image.data_mut().par_chunks_exact_mut(3 * side).enumerate().for_each(row);
+}

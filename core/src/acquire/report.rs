@@ -1,0 +1,76 @@
+//! What was found in photos.
+
+use serde::Serialize;
+
+use super::camera::Lens;
+
+/// How photos became a capture.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Report {
+    /// The photos of the capture.
+    pub photos: Vec<PhotoReport>,
+    /// The others.
+    pub left_out: Vec<LeftOut>,
+    /// The lenses they were taken with.
+    pub lenses: Vec<LensReport>,
+    /// Side of the rectified photos in pixels.
+    pub size: usize,
+    /// What a user should know.
+    pub warnings: Vec<String>,
+}
+
+/// A photo of the capture.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct PhotoReport {
+    /// The file that it was.
+    pub photo: String,
+    /// The file that it is in the capture.
+    pub file: String,
+    /// Its lens, counted from 0.
+    pub lens: usize,
+    /// How many tags were found.
+    pub tags: usize,
+    /// Root mean squared distance of their corners from where they should be, in pixels of the photo.
+    pub tag_error: f64,
+    /// Standard deviation of its blur, in pixels of the rectified photo.
+    pub blur: f64,
+    /// Root mean squared deviation of its paper from what position and light explain, as a share.
+    pub paper_error: f64,
+    /// Share of the rectified pixels that are saturated.
+    pub saturated: f64,
+}
+
+/// A photo that was not used.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
+pub struct LeftOut {
+    /// The file that it was.
+    pub photo: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// A lens as its photos have it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct LensReport {
+    /// How many photos were taken with it.
+    pub photos: usize,
+    /// Focal length in pixels.
+    pub focal_length: f64,
+    /// What EXIF data say of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub focal_length_from_exif: Option<f64>,
+    /// Radial distortion: coefficients of r^2 and r^4, where r is the tangent of the angle to the lens's axis.
+    pub radial: [f64; 2],
+    /// Logarithm of what lens and flash lose towards the edges: coefficients of r^2 and r^4.
+    pub fall_off: [f64; 2],
+}
+
+impl LensReport {
+    pub(super) fn lens(&self) -> Lens {
+        Lens { focal_length: self.focal_length, radial: self.radial }
+    }
+}

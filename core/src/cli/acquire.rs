@@ -1,0 +1,151 @@
+//! `svbrdf-gcn acquire`.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde_json::json;
+
+use super::{Budget, Millimetres, complain, say, say_json};
+use crate::acquire::{AcquireOptions, Report, Sheet, acquire, check_folder};
+use crate::cancel::CancelToken;
+use crate::capture::Shot;
+use crate::error::{Error, Result, printable};
+
+/// How raw photos are read; the same wherever they are.
+#[derive(Args)]
+pub struct SheetOptions {
+    /// The sheet in the photos: that of svbrdf-gcn sheet, or the frame of svbrdf-diff-renderer.
+    #[arg(long, value_enum, default_value = "own")]
+    sheet: SheetArg,
+    /// Width of the window of our own sheet.
+    #[arg(long, default_value = "100mm", value_name = "LENGTH", allow_hyphen_values = true)]
+    window: Millimetres,
+    /// Width of the frame of svbrdf-diff-renderer, from outer edge to outer edge.
+    #[arg(long, value_name = "LENGTH", allow_hyphen_values = true)]
+    frame_width: Option<Millimetres>,
+    /// Length of the sheet's bar of 100 mm as it was printed.
+    #[arg(long, default_value = "100mm", value_name = "LENGTH", allow_hyphen_values = true)]
+    printed_bar: Millimetres,
+    /// How far the sample lies below the sheet's face.
+    #[arg(long, default_value = "0mm", value_name = "LENGTH", allow_hyphen_values = true)]
+    depth: Millimetres,
+    /// Where the flash is, seen from the lens: to the right and up in the photos, in mm.
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, value_delimiter = ',', num_args = 1)]
+    light_offset: Option<Vec<f64>>,
+    /// Diffuse albedo of the paper.
+    #[arg(long, default_value_t = 0.8, allow_negative_numbers = true)]
+    paper_white: f64,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum SheetArg {
+    Own,
+    Tags16,
+}
+
+impl SheetOptions {
+    pub fn options(
+        &self,
+        size: Option<usize>,
+        max_memory: Option<u64>,
+        cancel: &CancelToken,
+    ) -> Result<AcquireOptions> {
+        let sheet = match (self.sheet, self.frame_width) {
+            (SheetArg::Own, None) => Sheet::new(self.window.0)?,
+            (SheetArg::Own, Some(_)) => {
+                return Err(Error::invalid("frame-width", "is for --sheet tags16; our own sheet has --window"));
+            }
+            (SheetArg::Tags16, Some(width)) => Sheet::tags16(width.0)?,
+            (SheetArg::Tags16, None) => {
+                return Err(Error::invalid(
+                    "frame-width",
+                    "expected the width of the frame for --sheet tags16, got none",
+                ));
+            }
+        };
+        let factor = self.printed_bar.0 / 100.0;
+        if !(0.5..=2.0).contains(&factor) {
+            let reason = format!("expected the printed length of 100 mm, 50 to 200, got {} mm", self.printed_bar.0);
+            return Err(Error::invalid("printed-bar", reason));
+        }
+        let mut options = AcquireOptions::new(sheet.scaled(factor));
+        options.depth = self.depth.0;
+        options.size = size;
+        options.max_memory = max_memory;
+        options.light_offset = match self.light_offset.as_deref() {
+            None => [0.0; 2],
+            Some(&[x, y]) => [x, y],
+            Some(other) => {
+                return Err(Error::invalid("light-offset", format!("expected two numbers x,y, got {}", other.len())));
+            }
+        };
+        options.paper_white = self.paper_white;
+        options.cancel = cancel.clone();
+        Ok(options)
+    }
+}
+
+#[derive(Args)]
+pub struct AcquireArgs {
+    /// Photos that show the sample in the window of a printed sheet.
+    #[arg(required = true)]
+    photos: Vec<PathBuf>,
+    /// Folder for the capture.
+    #[arg(long, short)]
+    out: PathBuf,
+    #[command(flatten)]
+    sheet: SheetOptions,
+    /// Side of the rectified photos in pixels; 1024 if not given. They are never finer than the photos.
+    #[arg(long, allow_negative_numbers = true)]
+    size: Option<usize>,
+    #[command(flatten)]
+    budget: Budget,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+    /// No summary.
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+pub fn run(args: &AcquireArgs, cancel: &CancelToken) -> Result<()> {
+    let (report, shots) =
+        make_capture(&args.photos, &args.out, &args.sheet.options(args.size, args.budget.max_memory, cancel)?, cancel)?;
+    for warning in &report.warnings {
+        complain(&format!("warning: {}", printable(warning)));
+    }
+    if args.json {
+        say_json(&json!({ "capture": args.out, "report": report }))
+    } else if args.quiet {
+        Ok(())
+    } else {
+        say(&format!("{}\n{}", summary(&report, &shots), printable(args.out.display())))
+    }
+}
+
+/// Makes a capture of raw photos in `folder`.
+pub fn make_capture(
+    photos: &[PathBuf],
+    folder: &Path,
+    options: &AcquireOptions,
+    cancel: &CancelToken,
+) -> Result<(Report, Vec<Shot>)> {
+    check_folder(folder)?;
+    let acquisition = acquire(photos, options)?;
+    acquisition.save_unless(folder, cancel)?;
+    let shots = acquisition.capture.photos().iter().map(|photo| photo.shot).collect();
+    Ok((acquisition.report, shots))
+}
+
+/// A line for each photo.
+fn summary(report: &Report, shots: &[Shot]) -> String {
+    let head =
+        format!("{:<24}{:>5}{:>10}{:>26}{:>24}", "photo", "tags", "off by", "camera in mm", "light in 1000 mm^2");
+    let line = |(photo, shot): (&crate::acquire::PhotoReport, &Shot)| {
+        let camera = shot.camera.map(|x| format!("{x:.1}")).join(", ");
+        let light = shot.light_intensity.map(|x| format!("{:.1}", x / 1000.0)).join(", ");
+        format!("{:<24}{:>5}{:>7.2} px{camera:>26}{light:>24}", printable(&photo.photo), photo.tags, photo.tag_error)
+    };
+    let lines = report.photos.iter().zip(shots).map(line);
+    std::iter::once(head).chain(lines).collect::<Vec<_>>().join("\n")
+}

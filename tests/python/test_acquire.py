@@ -1,0 +1,128 @@
+"""The printed sheet is true to scale, and photos of it, made by rays in numpy, become the capture they were taken as."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import svbrdf_gcn
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "python" / "tools"))
+
+import make_photos  # noqa: E402
+import png  # noqa: E402
+
+pypdfium2 = pytest.importorskip("pypdfium2", reason="in tests/python/requirements.txt")
+
+
+def command(*arguments, code=0):
+    run = subprocess.run([sys.executable, "-m", "svbrdf_gcn", *map(str, arguments)], capture_output=True, text=True, check=False)
+    assert run.returncode == code, run.stderr
+    return run
+
+
+@pytest.fixture(scope="module")
+def sheet(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sheet") / "sheet.pdf"
+    command("sheet", "-o", path)
+    return path
+
+
+@pytest.mark.parametrize(("paper", "size"), [("a4", (210.0, 297.0)), ("letter", (215.9, 279.4)), ("a3", (297.0, 420.0))])
+def test_the_sheet_is_true_to_scale(tmp_path, paper, size):
+    path = tmp_path / "sheet.pdf"
+    command("sheet", "-o", path, "--paper", paper, "--window", "10cm")
+    page = pypdfium2.PdfDocument(str(path))[0]
+    assert np.allclose(np.array(page.get_size()) * 25.4 / 72, size, atol=0.01)
+    per_mm = 20
+    picture = page.render(scale=per_mm * 25.4 / 72, grayscale=True).to_numpy().squeeze()
+    black = picture < 64
+    middle = size[0] / 2
+    # The first tag: its outer corner, its border, its side of 20 mm.
+    rows = np.nonzero(black[: 30 * per_mm].any(1))[0]
+    assert rows[0] / per_mm == pytest.approx(15.0, abs=0.1)
+    row = black[int((15 + 1.25) * per_mm)]
+    starts = np.nonzero(np.diff(row.astype(int)) == 1)[0] / per_mm
+    ends = np.nonzero(np.diff(row.astype(int)) == -1)[0] / per_mm
+    assert len(starts) == 5
+    assert np.allclose(ends - starts, 20.0, atol=0.1)
+    assert np.allclose(starts, middle - 77 + 33.5 * np.arange(5), atol=0.1)
+    # The bar: the longest run of black in any row below the tags.
+    below = black[int(175 * per_mm) :]
+    longest = max(np.diff(np.flatnonzero(np.diff(np.pad(line.astype(int), 1)))).max(initial=0) for line in below)
+    assert longest / per_mm == pytest.approx(100.0, abs=0.1)
+
+
+def test_svg_and_errors(tmp_path):
+    command("sheet", "-o", tmp_path / "sheet.svg", "--window", "80mm")
+    text = (tmp_path / "sheet.svg").read_text()
+    assert 'width="210mm" height="297mm"' in text and text.count("<path") > 40
+    for arguments, said in [
+        (("-o", tmp_path / "sheet.png"), "written are .pdf and .svg"),
+        (("-o", tmp_path / "sheet.pdf", "--window", "300mm"), "expected at most"),
+        (("-o", tmp_path / "sheet.pdf", "--window", "1mm"), "expected 20 mm to 1000 mm, got 1 mm"),
+        (("-o", tmp_path / "sheet.pdf", "--window", "wide"), "expected a length in mm, cm, m or in"),
+    ]:
+        run = command("sheet", *arguments, code=3 if "png" in str(arguments[1]) else 2)
+        assert said in run.stderr
+    assert not (tmp_path / "sheet.pdf").exists()
+
+
+def acquired(folder, scene, shots, *arguments):
+    photos = []
+    for i, shot in enumerate(shots):
+        photos.append(folder / f"{i}.png")
+        make_photos.png.write(photos[-1], make_photos.photograph(scene, shot, i, samples=2))
+    out = folder / "capture"
+    report = json.loads(command("acquire", *photos, "-o", out, "--json", "--size", 256, *arguments).stdout)["report"]
+    return svbrdf_gcn.Capture.open(out), report
+
+
+def test_photos_become_their_capture(tmp_path, sheet):
+    scene = make_photos.Scene(make_photos.page(sheet), 12.0, make_photos.Lens(), depth=1.0, light_offset=(12.0, 5.0))
+    shots = make_photos.around(6, size=(1200, 800))
+    # One upside down, one upright, one blurred.
+    shots[2].roll += np.pi
+    shots[3].size = (800, 1200)
+    shots[4].blur = 12
+    capture, report = acquired(tmp_path, scene, shots, "--depth", "1mm", "--light-offset", "12,5")
+    assert [photo["tags"] for photo in report["photos"]] == [16] * 6 and not report["left_out"]
+    errors = make_photos.compare(capture, report, scene, shots)
+    assert np.median(errors["position"]) < 0.002 and max(errors["position"]) < 0.01, errors
+    assert np.median(errors["corner"]) < 0.3, errors
+    assert np.median(errors["light"]) < 0.02 and max(errors["light"]) < 0.05, errors
+    assert any("4.png: is blurred" in warning for warning in report["warnings"]), report["warnings"]
+    assert capture.unit == "mm" and capture.patch_size == pytest.approx(96)
+
+
+def test_photos_that_cannot_be_used_are_named(tmp_path, sheet):
+    scene = make_photos.Scene(make_photos.page(sheet), 12.0, make_photos.Lens())
+    photo = make_photos.photograph(scene, make_photos.around(2, size=(900, 700))[0], samples=2)
+    pictures = {
+        "good": photo,
+        "mirrored": photo[:, ::-1],
+        "empty": np.full((60, 80, 3), 90, np.uint8),
+        "black": np.zeros((60, 80, 3), np.uint8),
+        "tiny": photo[:5, :7],
+        "bright": np.where(photo > 60, 255, photo).astype(np.uint8),
+    }
+    for name, picture in pictures.items():
+        png.write(tmp_path / f"{name}.png", np.ascontiguousarray(picture))
+    paths = [tmp_path / f"{name}.png" for name in pictures]
+    report = json.loads(command("acquire", *paths, "-o", tmp_path / "out", "--json").stdout)["report"]
+    reasons = {entry["photo"]: entry["reason"] for entry in report["left_out"]}
+    assert [entry["photo"] for entry in report["photos"]] == ["good.png"]
+    assert "mirror" in reasons["mirrored.png"] and "overexposed" in reasons["bright.png"]
+    for name in ("empty", "black", "tiny"):
+        assert "0 of the sheet's 16 tags" in reasons[f"{name}.png"]
+    run = command("acquire", *paths[1:], "-o", tmp_path / "none", code=2)
+    assert "none can be used" in run.stderr and "svbrdf-gcn sheet" in run.stderr
+    assert not (tmp_path / "none").exists()
+    # A capture that somebody wrote is not replaced.
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "capture.json").write_text('{"format": "svbrdf-gcn capture", "version": 1, "photos": []}')
+    assert "not made by acquire" in command("acquire", paths[0], "-o", tmp_path / "own", code=2).stderr
