@@ -59,7 +59,7 @@ pub(crate) fn code_rmse_smooth_gain(rendered: &[[f64; 3]], seen: &[[f64; 3]], wi
                 }
             }
         }
-        let gain = Cholesky::new(&matrix).map(|factor| factor.solve(vector));
+        let gain = Cholesky::of(&matrix).map(|factor| factor.solve(vector));
         let gain = gain.unwrap_or([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         for ((terms, rendered), seen) in places.iter().zip(rendered).zip(seen) {
             let gain: f64 = terms.iter().zip(gain).map(|(term, gain)| term * gain).sum();

@@ -371,7 +371,7 @@ impl Search<'_> {
         let mut factors = Vec::with_capacity(system.places.len());
         for block in &system.places {
             let own = std::array::from_fn(|i| std::array::from_fn(|j| damped(i, j, block.own[i][j])));
-            let factor = Cholesky::<PLACE>::new(&own)?;
+            let factor = Cholesky::<_, PLACE>::of(&own)?;
             let solved = block.with_lens.map(|row| factor.solve(row));
             for i in 0..LENS {
                 right[i] -= (0..PLACE).map(|k| solved[i][k] * block.gradient[k]).sum::<f64>();
@@ -381,7 +381,7 @@ impl Search<'_> {
             }
             factors.push(factor);
         }
-        let lens_step = Cholesky::<LENS>::new(&core)?.solve(right.map(|x| -x));
+        let lens_step = Cholesky::<_, LENS>::of(&core)?.solve(right.map(|x| -x));
         let lens = Lens {
             focal_length: self.lens.focal_length * lens_step[0].clamp(-0.5, 0.5).exp(),
             radial: [self.lens.radial[0] + lens_step[1], self.lens.radial[1] + lens_step[2]],

@@ -331,6 +331,11 @@ impl Lanes for F32x8 {
     }
 
     #[inline(always)]
+    fn any(mask: Mask) -> bool {
+        avx2!(_mm256_movemask_ps(mask.0)) != 0
+    }
+
+    #[inline(always)]
     fn exp2(self) -> Self {
         let limit = Self::splat(160.0);
         // NaN passes: min and max give their second operand where one is NaN.

@@ -93,6 +93,9 @@ pub trait Lanes: Arithmetic + Div<Output = Self> {
     /// `yes` where `mask` holds, else `no`.
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
 
+    /// Whether `mask` holds anywhere.
+    fn any(mask: Self::Mask) -> bool;
+
     /// `2^self`, relative error below 2e-7 in single precision; 0 below the normal range and infinity above it.
     fn exp2(self) -> Self;
 
@@ -219,6 +222,11 @@ macro_rules! scalar {
             #[inline(always)]
             fn select(mask: bool, yes: Self, no: Self) -> Self {
                 if mask { yes } else { no }
+            }
+
+            #[inline(always)]
+            fn any(mask: bool) -> bool {
+                mask
             }
 
             #[inline(always)]

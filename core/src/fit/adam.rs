@@ -1,9 +1,13 @@
 //! Adam on a flat slice of parameters.
 
+use rayon::prelude::*;
+
 /// Decay of the running mean of the gradient.
 const BETA1: f64 = 0.9;
 /// Decay of the running mean of the squared gradient.
 const BETA2: f64 = 0.999;
+/// Parameters that one thread moves at a time.
+const PART: usize = 1 << 15;
 /// Keeps the step finite where the gradient has been zero all along.
 const EPSILON: f32 = 1e-8;
 
@@ -36,12 +40,15 @@ impl Adam {
         let root = (1.0 / (1.0 - BETA2.powi(self.steps)).sqrt()) as f32;
         let (beta1, beta2) = (BETA1 as f32, BETA2 as f32);
         let (rest1, rest2) = ((1.0 - BETA1) as f32, (1.0 - BETA2) as f32);
-        let state = self.mean.iter_mut().zip(self.square.iter_mut());
-        for ((param, &g), (mean, square)) in params.iter_mut().zip(gradient).zip(state) {
-            *mean = *mean * beta1 + g * rest1;
-            *square = *square * beta2 + g * g * rest2;
-            *param -= size * *mean / (square.sqrt() * root + EPSILON);
-        }
+        let state = self.mean.par_chunks_mut(PART).zip(self.square.par_chunks_mut(PART));
+        let parts = params.par_chunks_mut(PART).zip(gradient.par_chunks(PART)).zip(state);
+        parts.for_each(|((params, gradient), (mean, square))| {
+            for ((param, &g), (mean, square)) in params.iter_mut().zip(gradient).zip(mean.iter_mut().zip(square)) {
+                *mean = *mean * beta1 + g * rest1;
+                *square = *square * beta2 + g * g * rest2;
+                *param -= size * *mean / (square.sqrt() * root + EPSILON);
+            }
+        });
     }
 }
 

@@ -4,7 +4,9 @@ use rayon::prelude::*;
 
 /// Pixels looked at to find the groups; more would only take longer.
 const SAMPLES: usize = 16_384;
-/// Rounds of Lloyd's iteration.
+/// Of them one thread takes so many at a time.
+const PART: usize = 1024;
+/// Rounds of Lloyd's iteration at most.
 const ROUNDS: usize = 30;
 /// Distance between gamma 2.2 encoded colours within which a pixel counts to several groups.
 const SOFTNESS: f32 = 0.05;
@@ -28,7 +30,8 @@ pub fn soft_groups(colors: &[f32], pixels: usize, groups: usize, seed: u64) -> (
 }
 
 fn distance2(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
+    let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    x * x + y * y + z * z
 }
 
 /// Gaussian weights around the two nearest centers, relative to the nearest one so that none underflows to 0 / 0.
@@ -74,20 +77,43 @@ fn seed_centers(samples: &[[f32; 3]], groups: usize, seed: u64) -> Vec<[f32; 3]>
 
 fn lloyd(samples: &[[f32; 3]], mut centers: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     for _ in 0..ROUNDS {
-        let mut sums = vec![[0.0f64; 4]; centers.len()];
-        for &sample in samples {
-            let nearest = (0..centers.len())
-                .min_by(|&a, &b| distance2(sample, centers[a]).total_cmp(&distance2(sample, centers[b])))
-                .unwrap_or(0);
-            let sum = &mut sums[nearest];
-            sample.iter().zip(sum.iter_mut()).for_each(|(&value, sum)| *sum += f64::from(value));
-            sum[3] += 1.0;
+        let of_part = |samples: &[[f32; 3]]| {
+            let mut sums = vec![[0.0f64; 4]; centers.len()];
+            for &sample in samples {
+                let sum = &mut sums[nearest(sample, &centers)];
+                sample.iter().zip(sum.iter_mut()).for_each(|(&value, sum)| *sum += f64::from(value));
+                sum[3] += 1.0;
+            }
+            sums
+        };
+        let parts: Vec<Vec<[f64; 4]>> = samples.par_chunks(PART).map(of_part).collect();
+        let mut moved = false;
+        for (k, center) in centers.iter_mut().enumerate() {
+            // Summed in order: the same bits on any number of threads.
+            let sum = |i: usize| parts.iter().map(|sums| sums[k][i]).sum::<f64>();
+            let count = sum(3);
+            if count > 0.0 {
+                let mean = [0, 1, 2].map(|c| (sum(c) / count) as f32);
+                moved |= mean != *center;
+                *center = mean;
+            }
         }
-        for (center, sum) in centers.iter_mut().zip(&sums).filter(|(_, sum)| sum[3] > 0.0) {
-            *center = [0, 1, 2].map(|c| (sum[c] / sum[3]) as f32);
+        if !moved {
+            break;
         }
     }
     centers
+}
+
+fn nearest(color: [f32; 3], centers: &[[f32; 3]]) -> usize {
+    let mut nearest = (0, f32::INFINITY);
+    for (k, &center) in centers.iter().enumerate() {
+        let distance = distance2(color, center);
+        if distance < nearest.1 {
+            nearest = (k, distance);
+        }
+    }
+    nearest.0
 }
 
 #[cfg(test)]

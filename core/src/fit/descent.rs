@@ -2,10 +2,14 @@
 
 use std::collections::VecDeque;
 
+use rayon::prelude::*;
+
 use crate::error::{Error, Result};
 use crate::fit::adam::Adam;
 use crate::fit::progress::{Control, Stage};
 
+/// Parameters that one thread looks at, at a time.
+const PART: usize = 1 << 15;
 /// Factor on the learning rate after a step that led to a value that is not finite.
 const BACK_OFF: f64 = 0.5;
 /// Broken steps after which a descent ends with the best state it has.
@@ -114,7 +118,7 @@ fn run(
     for step in 0..=steps {
         let last = step == steps;
         let loss = evaluate(params, (!last).then_some(&mut gradient[..]), control)?;
-        let finite = loss.is_finite() && (last || gradient.iter().all(|g| g.is_finite()));
+        let finite = loss.is_finite() && (last || gradient.par_iter().with_min_len(PART).all(|g| g.is_finite()));
         descent.steps = step;
         descent.last_loss = if loss.is_finite() { loss } else { f64::NAN };
         if step == 0 {

@@ -13,6 +13,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
+use crate::brdf::real::{Kernel, Lanes, Real};
 use crate::capture::{Capture, Photo};
 use crate::color::Transfer;
 use crate::error::Result;
@@ -64,6 +65,8 @@ const AROUND: Spread = Spread { diffuse: 0.3, group: 1.0, evidence: 0.02 };
 const SEARCH_EVIDENCE: f64 = 0.04;
 /// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
 const ROUGHNESS_MIN: f32 = 0.02;
+/// Parameters that one thread takes at a time.
+const PART: usize = 1 << 14;
 /// Adam's step length in the logits and slopes of pixels.
 const LEARNING_RATE: f64 = 0.03;
 /// Steps of group values are longer by this factor, and those of the common tilt shorter.
@@ -210,7 +213,9 @@ pub(crate) fn memory(photos: usize, size: (usize, usize), relief: bool) -> u64 {
     const PROBLEM: u64 = 4 * (2 * 2 + 3 + 4) + size_of::<Membership>() as u64;
     let pixels = |(width, height): (usize, usize)| (width * height) as u64;
     let encoded = |(width, height): (usize, usize)| Target::memory(width, height);
-    let working = |size: (usize, usize)| (DESCENT * pixels(size)).max(search::memory(photos, GROUPS));
+    let working = |size: (usize, usize)| {
+        (DESCENT * pixels(size)).max(search::memory(photos) * rayon::current_num_threads() as u64)
+    };
     let rehearsal = if relief && photos > 2 {
         let ([across, down], _) = grid(size.0, size.1, REHEARSAL_SIDE);
         let part = (across, down);
@@ -317,17 +322,8 @@ impl Problem {
         };
         let (found, tilt) = search(capture, &memberships, groups, &prior);
         tracing::debug!("start: {found:?}, tilt {tilt:?}");
-        let diffuse: Vec<[f64; 3]> = (0..pixels)
-            .into_par_iter()
-            .map(|p| {
-                let [(a, of_a), (b, of_b)] = memberships[p];
-                let (a, b, of_a, of_b) = (&found[a as usize], &found[b as usize], f64::from(of_a), f64::from(of_b));
-                let mixed = |x: f64, y: f64| of_a * x + of_b * y;
-                let specular = [0, 1, 2].map(|c| mixed(a.specular[c], b.specular[c]));
-                search::diffuse(capture, p, specular, mixed(a.roughness, b.roughness), tilt)
-            })
-            .collect();
-        let diffuse = (0..3).flat_map(|c| diffuse.iter().map(move |d| logit(0.9 * d[c] as f32 + 0.005))).collect();
+        let diffuse = search::diffuse(capture, &memberships, &found, tilt);
+        let diffuse = (0..3).flat_map(|c| diffuse.iter().map(move |d| logit(0.9 * d[c] + 0.005))).collect();
         Ok(Self {
             targets,
             patch_size: capture.patch_size(),
@@ -494,7 +490,8 @@ impl Problem {
         maps.data_mut().par_chunks_mut(n).enumerate().for_each(|(plane, out)| {
             if plane < NORMAL_PLANE {
                 let logits = &params[(plane - DIFFUSE_PLANE) * n..][..n];
-                out.iter_mut().zip(logits).for_each(|(out, &x)| *out = sigmoid(x));
+                out.copy_from_slice(logits);
+                f32::run(Sigmoid { values: out, least: 0.0 });
             } else if plane < NORMAL_PLANE + 2 {
                 let c = plane - NORMAL_PLANE;
                 let slopes = &params[layout.slope() + c * n..][..n];
@@ -508,13 +505,15 @@ impl Problem {
                 let groups = &params[layout.roughness_group()..layout.tilt()];
                 let own = &params[layout.roughness_own()..layout.specular_group()];
                 let logits = self.mixed_logits(3, groups, own);
-                out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x).max(ROUGHNESS_MIN));
+                out.iter_mut().zip(logits).for_each(|(out, x)| *out = x);
+                f32::run(Sigmoid { values: out, least: ROUGHNESS_MIN });
             } else {
                 let c = plane - specular_plane;
                 let groups = &params[layout.specular_group() + c * layout.groups..][..layout.groups];
                 let own = &params[layout.specular_own()..layout.roughness_own()];
                 let logits = self.mixed_logits(c, groups, own);
-                out.iter_mut().zip(logits).for_each(|(out, x)| *out = sigmoid(x));
+                out.iter_mut().zip(logits).for_each(|(out, x)| *out = x);
+                f32::run(Sigmoid { values: out, least: 0.0 });
             }
         });
     }
@@ -579,11 +578,18 @@ impl Problem {
             let weight = weight * f64::from(step * step);
             let values = &params[range.clone()];
             let off = |i: usize, value: f32| value - mean.map_or(0.0, |mean| mean[i]);
-            total += 0.5 * weight * values.iter().enumerate().map(|(i, &v)| f64::from(off(i, v)).powi(2)).sum::<f64>();
+            let squares = |(part, values): (usize, &[f32])| -> f64 {
+                let off = |(i, &value): (usize, &f32)| off(part * PART + i, value);
+                values.iter().enumerate().map(off).map(|off| f64::from(off * off)).sum()
+            };
+            let squares: Vec<f64> = values.par_chunks(PART).enumerate().map(squares).collect();
+            total += 0.5 * weight * squares.iter().sum::<f64>();
             if let Some(gradient) = gradient.as_deref_mut() {
-                for (i, (slope, &value)) in gradient[range].iter_mut().zip(values).enumerate() {
-                    *slope += weight as f32 * off(i, value);
-                }
+                gradient[range].par_iter_mut().with_min_len(PART).zip(values).enumerate().for_each(
+                    |(i, (slope, &value))| {
+                        *slope += weight as f32 * off(i, value);
+                    },
+                );
             }
         }
         total
@@ -664,8 +670,23 @@ fn logits(values: &[f32]) -> impl Iterator<Item = f32> + '_ {
     values.iter().map(|&value| logit(inside(value)))
 }
 
-fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + (-x).exp())
+/// Makes values of logits, `1 / (1 + exp(-x))`, none below `least`.
+struct Sigmoid<'a> {
+    values: &'a mut [f32],
+    least: f32,
+}
+
+impl Kernel<f32> for Sigmoid<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes<Scalar = f32>>(self) {
+        let one = L::splat(1.0);
+        for values in self.values.chunks_mut(L::LANES) {
+            let power = (L::load(values) * L::splat(-std::f64::consts::LOG2_E)).exp2();
+            (one / (one + power)).max(L::splat(self.least.into())).store(values);
+        }
+    }
 }
 
 /// A value between 0 and 1 whose logit is finite.

@@ -5,12 +5,15 @@
 //!
 //! Not from the paper.
 
+#![allow(clippy::needless_range_loop, reason = "closures would not be compiled for the processor's lanes")]
+
 use rayon::prelude::*;
 
-use super::shading::{Parts, Sight};
+use super::shading::{Parts, Sight, bundle, saturated, unbundle};
+use crate::brdf::real::{Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::capture::Capture;
 use crate::fit::cluster::Membership;
-use crate::render::encode_radiance;
+use crate::render::encode;
 
 /// Pixels of a group that are looked at.
 const GROUP_PIXELS: usize = 96;
@@ -27,6 +30,11 @@ const TILTS: [f64; 5] = [-0.14, -0.07, 0.0, 0.07, 0.14];
 const OUTLIER: f64 = 0.1;
 /// Largest diffuse albedo.
 const DIFFUSE_MAX: f64 = 0.95;
+/// Exponent of the squared slope of a code, by radiance; and the least radiance for which it is taken.
+const SLOPE_EXPONENT: f64 = 2.0 / 2.2 - 2.0;
+const SLOPE_DARK: f64 = 1e-3;
+/// Pixels whose diffuse albedo one thread computes at a time.
+const PART: usize = 1024;
 
 /// How unlikely a specular albedo and a roughness are before the photos, in sums of squared differences of codes per pixel.
 pub(super) struct Prior<'a> {
@@ -42,104 +50,159 @@ pub(super) struct Found {
     pub roughness: f64,
 }
 
-/// A pixel in one photo.
-struct View {
-    sight: Sight,
-    code: [f64; 3],
-    radiance: [f64; 3],
+/// Pixels in one photo.
+struct View<L: Lanes> {
+    sight: Sight<L>,
+    code: [L; 3],
+    radiance: [L; 3],
     /// Squared slopes of the codes, by radiance; 0 where that is not known.
-    weight: [f64; 3],
-    saturated: [bool; 3],
+    weight: [L; 3],
+    saturated: [L::Mask; 3],
 }
 
-impl View {
-    fn new(capture: &Capture, photo: usize, pixel: usize) -> Self {
+impl<L: Lanes> View<L> {
+    #[inline(always)]
+    fn new(capture: &Capture, photo: usize, pixels: &[usize]) -> Self {
         let photo = &capture.photos()[photo];
-        let [x, y] = capture.position(pixel / capture.width(), pixel % capture.width());
-        let radiance = [0, 1, 2].map(|c| f64::from(photo.image.data()[3 * pixel + c]));
-        let saturated = [0, 1, 2].map(|c| photo.saturated[pixel] >> c & 1 == 1);
-        let weight = |c: usize| if saturated[c] { 0.0 } else { radiance[c].max(1e-3).powf(2.0 / 2.2 - 2.0) };
-        Self {
-            sight: Sight::new(&photo.shot, x, y),
-            code: radiance.map(encode_radiance),
-            radiance,
-            weight: [0, 1, 2].map(weight),
-            saturated,
+        let zero = [L::splat(0.0); 3];
+        let saturated = saturated::<L, _>(pixels, |&pixel| photo.saturated[pixel]);
+        let (mut radiance, mut code, mut weight) = (zero, zero, zero);
+        for c in 0..3 {
+            radiance[c] = bundle(pixels, |&pixel| photo.image.data()[3 * pixel + c]);
+            code[c] = encode(radiance[c]).0;
+            let slope2 = radiance[c].max(L::splat(SLOPE_DARK)).pow_normal(SLOPE_EXPONENT);
+            weight[c] = L::select(saturated[c], zero[c], slope2);
         }
+        let sight = Sight::of_pixels(capture, &photo.shot, pixels, |&pixel| pixel);
+        Self { sight, code, radiance, weight, saturated }
+    }
+
+    /// The pixels in each of `photos`.
+    #[inline(always)]
+    fn all(capture: &Capture, photos: &[usize], pixels: &[usize]) -> Vec<Self> {
+        let mut views = Vec::with_capacity(photos.len());
+        for &photo in photos {
+            views.push(Self::new(capture, photo, pixels));
+        }
+        views
+    }
+}
+
+/// What a surface sends to the camera in each of `views`, in `parts`.
+#[inline(always)]
+fn shade<L: Lanes>(views: &[View<L>], normal: [L; 3], alpha: L, parts: &mut Vec<Parts<L>>) {
+    parts.clear();
+    for view in views {
+        parts.push(view.sight.parts(normal, alpha));
     }
 }
 
 /// The unit normal of a slope.
-fn normal([x, y]: [f64; 2]) -> [f64; 3] {
+#[inline(always)]
+fn normal<L: Lanes>([x, y]: [f64; 2]) -> [L; 3] {
     let scale = 1.0 / (1.0 + x * x + y * y).sqrt();
-    [x * scale, y * scale, scale]
+    [L::splat(x * scale), L::splat(y * scale), L::splat(scale)]
 }
 
 /// The diffuse albedo in channel `c` that fits best beside specular albedo `s`: least squares with differences of codes to first order.
-fn diffuse_beside(views: &[View], parts: &[Parts], c: usize, s: f64) -> f64 {
-    let (mut up, mut down) = (0.0, 0.0);
+#[inline(always)]
+fn diffuse_beside<L: Lanes>(views: &[View<L>], parts: &[Parts<L>], c: usize, s: L) -> L {
+    let (zero, one) = (L::splat(0.0), L::splat(1.0));
+    let (mut up, mut down) = (zero, zero);
     for (view, parts) in views.iter().zip(parts) {
-        let matt = parts.diffuse[c] * (1.0 - s);
-        up += view.weight[c] * matt * (view.radiance[c] - parts.specular[c] * (s + (1.0 - s) * parts.fresnel));
-        down += view.weight[c] * matt * matt;
+        let matt = parts.diffuse[c] * (one - s);
+        let weighted = view.weight[c] * matt;
+        let shine = parts.specular[c] * (one - s).mul_add(parts.fresnel, s);
+        up = weighted.mul_add(view.radiance[c] - shine, up);
+        down = weighted.mul_add(matt, down);
     }
-    if down > 0.0 { (up / down).clamp(0.0, DIFFUSE_MAX) } else { 0.5 * DIFFUSE_MAX }
+    let most = L::splat(DIFFUSE_MAX);
+    L::select(down.gt(zero), (up / down).max(zero).min(most), L::splat(0.5) * most)
 }
 
-/// How far a pixel's channel is from the photos with these albedos.
-fn misfit(views: &[View], parts: &[Parts], c: usize, d: f64, s: f64) -> f64 {
-    let off = |(view, parts): (&View, &Parts)| {
-        let radiance = parts.diffuse[c] * d * (1.0 - s) + parts.specular[c] * (s + (1.0 - s) * parts.fresnel);
-        let off = encode_radiance(radiance) - view.code[c];
-        if view.saturated[c] && off > 0.0 { 0.0 } else { (off / OUTLIER).powi(2).ln_1p() * OUTLIER * OUTLIER }
-    };
-    views.iter().zip(parts).map(off).sum()
+/// How far pixels' channel is from the photos with these albedos.
+#[inline(always)]
+fn misfit<L: Lanes>(views: &[View<L>], parts: &[Parts<L>], c: usize, d: L, s: L) -> L {
+    let (zero, one) = (L::splat(0.0), L::splat(1.0));
+    let mut logs = zero;
+    for (view, parts) in views.iter().zip(parts) {
+        let radiance = parts.diffuse[c] * d * (one - s) + parts.specular[c] * (one - s).mul_add(parts.fresnel, s);
+        let off = encode(radiance).0 - view.code[c];
+        let off = L::select(view.saturated[c], off.min(zero), off) * L::splat(1.0 / OUTLIER);
+        logs = logs + off.mul_add(off, one).log2();
+    }
+    logs * L::splat(OUTLIER * OUTLIER * std::f64::consts::LN_2)
 }
 
-/// How thoroughly to search: every `step`-th sample and candidate, in these channels.
-struct Search<'a> {
-    samples: usize,
+/// The best values of some pixels on surfaces that lean by each of `tilts`, and how far from the photos they are per pixel.
+struct Explain<'a> {
+    capture: &'a Capture,
+    photos: &'a [usize],
+    pixels: &'a [usize],
+    tilts: &'a [[f64; 2]],
+    /// Every so many-th candidate, in these channels.
     step: usize,
     channels: &'a [usize],
+    prior: &'a Prior<'a>,
 }
 
-impl Search<'_> {
-    /// The best values of a group on a surface that leans by `tilt`, and how far from the photos they are per sample.
-    fn best(&self, samples: &[Vec<View>], tilt: [f64; 2], prior: &Prior<'_>) -> (f64, Found) {
-        let normal = normal(tilt);
-        let mut best = (f64::INFINITY, Found { specular: [0.04; 3], roughness: 0.5 });
-        let count = samples.iter().step_by(self.samples).count() as f64;
-        for roughness in ROUGHNESSES.into_iter().step_by(self.step) {
-            let alpha = roughness * roughness;
-            let mut sums = [[0.0; SPECULARS.len()]; 3];
-            for views in samples.iter().step_by(self.samples) {
-                let parts: Vec<Parts> = views.iter().map(|view| view.sight.parts(normal, alpha)).collect();
-                for &c in self.channels {
-                    for (sum, s) in sums[c].iter_mut().zip(SPECULARS).step_by(self.step) {
-                        *sum += misfit(views, &parts, c, diffuse_beside(views, &parts, c, s), s);
+impl<R: Real> Kernel<R> for Explain<'_> {
+    type Output = Vec<(f64, Found)>;
+
+    #[inline(always)]
+    fn run<L: Lanes<Scalar = R>>(self) -> Self::Output {
+        let Self { capture, photos, pixels, tilts, step, channels, prior } = self;
+        let mut bundles = Vec::with_capacity(pixels.len().div_ceil(L::LANES));
+        for pixels in pixels.chunks(L::LANES) {
+            // The last bundle may hold its last pixel more than once.
+            let counted: L = L::load_f32(&[1.0; LANES_MAX][..pixels.len()]);
+            bundles.push((View::all(capture, photos, pixels), counted));
+        }
+        let mut parts: Vec<Parts<L>> = Vec::with_capacity(photos.len());
+        let mut best_of_tilts = Vec::with_capacity(tilts.len());
+        for &tilt in tilts {
+            let normal = normal(tilt);
+            let mut best = (f64::INFINITY, Found { specular: [0.04; 3], roughness: 0.5 });
+            for roughness in ROUGHNESSES.into_iter().step_by(step) {
+                let mut sums = [[L::splat(0.0); SPECULARS.len()]; 3];
+                for (views, counted) in &bundles {
+                    shade(views, normal, L::splat(roughness * roughness), &mut parts);
+                    for &c in channels {
+                        for i in (0..SPECULARS.len()).step_by(step) {
+                            let s = L::splat(SPECULARS[i]);
+                            let d = diffuse_beside(views, &parts, c, s);
+                            sums[c][i] = misfit(views, &parts, c, d, s).mul_add(*counted, sums[c][i]);
+                        }
                     }
                 }
+                let mut found = Found { specular: [0.04; 3], roughness };
+                let mut total = (prior.roughness)(roughness);
+                for &c in channels {
+                    let mut least = f64::INFINITY;
+                    for i in (0..SPECULARS.len()).step_by(step) {
+                        let mean = sums[c][i].widen().sum() / pixels.len() as f64;
+                        let cost = mean + (prior.specular)(SPECULARS[i]);
+                        if cost < least {
+                            (least, found.specular[c]) = (cost, SPECULARS[i]);
+                        }
+                    }
+                    total += least;
+                }
+                if total < best.0 {
+                    best = (total, found);
+                }
             }
-            let mut total = (prior.roughness)(roughness);
-            let mut specular = [0.04; 3];
-            for &c in self.channels {
-                let costs = sums[c].iter().zip(SPECULARS).step_by(self.step);
-                let costs = costs.map(|(sum, s)| (sum / count + (prior.specular)(s), s));
-                let (cost, s) = costs.fold((f64::INFINITY, 0.04), |a, b| if b.0 < a.0 { b } else { a });
-                total += cost;
-                specular[c] = s;
-            }
-            if total < best.0 {
-                best = (total, Found { specular, roughness });
-            }
+            best_of_tilts.push(best);
         }
-        best
+        best_of_tilts
     }
 }
 
-/// Estimated bytes that [`search`] takes.
-pub(super) fn memory(photos: usize, groups: usize) -> u64 {
-    (groups * GROUP_PIXELS * photos.min(PHOTOS) * size_of::<View>()) as u64
+/// Estimated bytes that [`search`] takes on each thread.
+pub(super) fn memory(photos: usize) -> u64 {
+    // Of the widest bundles.
+    const VIEW: usize = 4 * (13 + 3 * 4);
+    (GROUP_PIXELS * photos.min(PHOTOS) * VIEW) as u64
 }
 
 /// For each of `groups` colour groups the values that explain the photos best, and the tilt that all share.
@@ -155,44 +218,156 @@ pub(super) fn search(
     for (pixel, [(group, _), _]) in memberships.iter().enumerate() {
         members[*group as usize].push(pixel);
     }
-    let samples: Vec<Vec<Vec<View>>> = members
-        .par_iter()
+    let samples: Vec<Vec<usize>> = members
+        .iter()
         .map(|pixels| {
             let taken = pixels.len().min(GROUP_PIXELS);
-            let pick = (0..taken).map(|i| pixels[(2 * i + 1) * pixels.len() / (2 * taken)]);
-            pick.map(|pixel| photos.iter().map(|&photo| View::new(capture, photo, pixel)).collect()).collect()
+            (0..taken).map(|i| pixels[(2 * i + 1) * pixels.len() / (2 * taken)]).collect()
         })
         .collect();
-
-    let quick = Search { samples: TILT_STRIDE, step: 2, channels: &[1] };
-    let cost = |tilt: [f64; 2]| {
-        let of_group = |(samples, all): (&Vec<Vec<View>>, &Vec<usize>)| match all.len() {
-            0 => 0.0,
-            // A group counts by its size.
-            count => count as f64 * quick.best(samples, tilt, prior).0,
-        };
-        let costs: Vec<f64> = samples.par_iter().zip(&members).map(of_group).collect();
-        costs.iter().sum::<f64>() / memberships.len() as f64 + (prior.tilt)(tilt)
+    let explain = |pixels: &[usize], tilts: &[[f64; 2]], step: usize, channels: &[usize]| {
+        f32::run(Explain { capture, photos: &photos, pixels, tilts, step, channels, prior })
     };
+
+    let tilts: Vec<[f64; 2]> = TILTS.iter().flat_map(|&x| TILTS.map(|y| [x, y])).collect();
+    let quick = |sample: &Vec<usize>| {
+        let pixels: Vec<usize> = sample.iter().step_by(TILT_STRIDE).copied().collect();
+        explain(&pixels, &tilts, 2, &[1])
+    };
+    let of_groups: Vec<Vec<(f64, Found)>> = samples.par_iter().map(quick).collect();
     let mut best = (f64::INFINITY, [0.0; 2]);
-    for x in TILTS {
-        for y in TILTS {
-            let cost = cost([x, y]);
-            if cost < best.0 {
-                best = (cost, [x, y]);
-            }
+    for (i, &tilt) in tilts.iter().enumerate() {
+        // A group counts by its size.
+        let costs = of_groups.iter().zip(&members).filter(|(_, members)| !members.is_empty());
+        let cost = costs.map(|(costs, members)| members.len() as f64 * costs[i].0).sum::<f64>();
+        let cost = cost / memberships.len() as f64 + (prior.tilt)(tilt);
+        if cost < best.0 {
+            best = (cost, tilt);
         }
     }
     let tilt = best.1;
-    let thorough = Search { samples: 1, step: 1, channels: &[0, 1, 2] };
-    let found = samples.par_iter().map(|samples| thorough.best(samples, tilt, prior).1).collect();
+    let found = samples.par_iter().map(|sample| explain(sample, &[tilt], 1, &[0, 1, 2])[0].1).collect();
     (found, tilt)
 }
 
-/// The diffuse albedo of `pixel` beside these specular albedos and this roughness, on a surface that leans by `tilt`.
-pub(super) fn diffuse(capture: &Capture, pixel: usize, specular: [f64; 3], roughness: f64, tilt: [f64; 2]) -> [f64; 3] {
-    let views: Vec<View> = (0..capture.len()).map(|photo| View::new(capture, photo, pixel)).collect();
-    let normal = normal(tilt);
-    let parts: Vec<Parts> = views.iter().map(|view| view.sight.parts(normal, roughness * roughness)).collect();
-    [0, 1, 2].map(|c| diffuse_beside(&views, &parts, c, specular[c]))
+/// The diffuse albedo of all pixels beside what was `found` for their groups, on a surface that leans by `tilt`.
+pub(super) fn diffuse(capture: &Capture, memberships: &[Membership], found: &[Found], tilt: [f64; 2]) -> Vec<[f32; 3]> {
+    let pixels: Vec<usize> = (0..memberships.len()).collect();
+    let parts: Vec<Vec<[f32; 3]>> =
+        pixels.par_chunks(PART).map(|pixels| f32::run(Beside { capture, pixels, memberships, found, tilt })).collect();
+    parts.concat()
+}
+
+struct Beside<'a> {
+    capture: &'a Capture,
+    pixels: &'a [usize],
+    memberships: &'a [Membership],
+    found: &'a [Found],
+    tilt: [f64; 2],
+}
+
+impl<R: Real> Kernel<R> for Beside<'_> {
+    type Output = Vec<[f32; 3]>;
+
+    #[inline(always)]
+    fn run<L: Lanes<Scalar = R>>(self) -> Self::Output {
+        let Self { capture, pixels, memberships, found, tilt } = self;
+        let photos: Vec<usize> = (0..capture.len()).collect();
+        let normal = normal(tilt);
+        let mixed = |pixel: usize, value: &dyn Fn(&Found) -> f64| {
+            let [(a, of_a), (b, of_b)] = memberships[pixel];
+            let (a, b) = (value(&found[a as usize]), value(&found[b as usize]));
+            (f64::from(of_a) * a + f64::from(of_b) * b) as f32
+        };
+        let mut parts: Vec<Parts<L>> = Vec::with_capacity(photos.len());
+        let mut albedos = Vec::with_capacity(pixels.len());
+        for pixels in pixels.chunks(L::LANES) {
+            let views = View::all(capture, &photos, pixels);
+            let roughness: L = bundle(pixels, |&pixel| mixed(pixel, &|found| found.roughness));
+            shade(&views, normal, roughness * roughness, &mut parts);
+            let mut albedo = [L::splat(0.0); 3];
+            for c in 0..3 {
+                let specular = bundle(pixels, |&pixel| mixed(pixel, &|found| found.specular[c]));
+                albedo[c] = diffuse_beside(&views, &parts, c, specular);
+            }
+            albedos.extend(unbundle(albedo, pixels.len()));
+        }
+        albedos
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Explain, Prior, diffuse, search};
+    use crate::brdf::real::Real;
+    use crate::capture::{Capture, Photo, Shot};
+    use crate::color::Transfer;
+    use crate::image::Image;
+    use crate::maps::{Lobe, Maps};
+    use crate::render::render_maps;
+
+    const SIDE: usize = 12;
+    const PIXELS: usize = SIDE * SIDE;
+    const FLAT: Prior<'static> = Prior { specular: &|_| 0.0, roughness: &|_| 0.0, tilt: &|_| 0.0 };
+
+    /// Seven photos of a surface that leans, of one material on the left and another on the right.
+    fn capture(materials: [([f32; 3], f32, f32); 2], tilt: [f32; 2]) -> Capture {
+        let mut data = vec![0.0; 10 * PIXELS];
+        for p in 0..PIXELS {
+            let (diffuse, specular, roughness) = materials[usize::from(p % SIDE >= SIDE / 2)];
+            let normal = [tilt[0], tilt[1], 1.0];
+            for c in 0..3 {
+                data[c * PIXELS + p] = diffuse[c];
+                data[(3 + c) * PIXELS + p] = normal[c];
+                data[(7 + c) * PIXELS + p] = specular;
+            }
+            data[6 * PIXELS + p] = roughness;
+        }
+        let maps = Maps::new(Lobe::Isotropic, SIDE, SIDE, data).unwrap();
+        let photo = |i: usize| {
+            let angle = i as f64 * 2.4;
+            let place = [0.3 * i as f64 * angle.cos(), 0.3 * i as f64 * angle.sin(), 2.4];
+            let shot = Shot { camera: place, light: place, light_intensity: [14.0; 3] };
+            let image = Image::from_planar(SIDE, SIDE, 3, &render_maps(&maps, 2.0, &shot).unwrap()).unwrap();
+            Photo { name: i.to_string(), shot, image, saturated: vec![0; PIXELS] }
+        };
+        Capture::new((0..7).map(photo).collect(), 2.0, Transfer::Linear).unwrap()
+    }
+
+    #[test]
+    fn materials_and_tilt_of_the_grid_are_found() {
+        let materials = [([0.3, 0.4, 0.2], 0.04, 0.47), ([0.05, 0.1, 0.15], 0.35, 0.23)];
+        let capture = capture(materials, [0.07, -0.14]);
+        let memberships: Vec<_> =
+            (0..PIXELS).map(|p| [(u16::from(p % SIDE >= SIDE / 2).into(), 1.0), (0, 0.0)]).collect();
+        let (found, tilt) = search(&capture, &memberships, 2, &FLAT);
+        assert_eq!(tilt, [0.07, -0.14]);
+        for (found, (_, specular, roughness)) in found.iter().zip(materials) {
+            assert!(found.specular.iter().all(|&s| (s - f64::from(specular)).abs() < 1e-6), "{found:?}");
+            assert!((found.roughness - f64::from(roughness)).abs() < 1e-6, "{found:?}");
+        }
+        for (p, albedo) in diffuse(&capture, &memberships, &found, tilt).into_iter().enumerate() {
+            let expected = materials[usize::from(p % SIDE >= SIDE / 2)].0;
+            assert!((0..3).all(|c| (albedo[c] - expected[c]).abs() < 1e-3), "{p}: {albedo:?} {expected:?}");
+        }
+    }
+
+    #[test]
+    fn lanes_agree_with_single_numbers_in_double_precision() {
+        let capture = capture([([0.3, 0.4, 0.2], 0.05, 0.4), ([0.05, 0.1, 0.15], 0.3, 0.25)], [0.02, 0.03]);
+        let pixels: Vec<usize> = (0..PIXELS).step_by(7).collect();
+        let explain = || Explain {
+            capture: &capture,
+            photos: &[0, 2, 5],
+            pixels: &pixels,
+            tilts: &[[0.0, 0.0], [0.1, -0.2]],
+            step: 1,
+            channels: &[0, 2],
+            prior: &FLAT,
+        };
+        for (single, double) in f32::run(explain()).iter().zip(f64::run(explain())) {
+            assert!((single.0 - double.0).abs() < 1e-4 * double.0, "{single:?} {double:?}");
+            assert_eq!((single.1.roughness, single.1.specular), (double.1.roughness, double.1.specular));
+        }
+    }
 }

@@ -1,9 +1,14 @@
 //! One pixel in one photo: the encoded value that a renderer of the shading model gives, and its derivatives by the nine raw values.
 //!
 //! The model is that of [`crate::brdf`], isotropic, in the form that a pixel-by-pixel solver wants: everything that does not depend on
-//! the material stands in [`Sight`], and derivatives come out as rows of a Jacobian instead of as the gradient of a loss.
+//! the material stands in [`Sight`], and derivatives come out as rows of a Jacobian instead of as the gradient of a loss. It is written for
+//! [`Lanes`]: several pixels at a time. What touches a bundle is a loop or an inlined function, never a closure: those would be compiled for any processor.
 
-use crate::capture::Shot;
+#![allow(clippy::needless_range_loop, reason = "closures would not be compiled for the processor's lanes")]
+
+use crate::brdf::real::{LANES_MAX, Lanes, Real, cross, dot, scale};
+use crate::capture::{Capture, Shot};
+use crate::render::encode;
 
 /// Raw values of a pixel, in the order of the network's outputs: diffuse 3, normal x and y, roughness, specular 3.
 pub const RAW: usize = 9;
@@ -12,191 +17,239 @@ pub const NORMAL: usize = 3;
 pub const ROUGHNESS: usize = 5;
 pub const SPECULAR: usize = 6;
 
-/// Exponent of the codes of photos, albedos and roughness.
+/// Exponent of the codes of albedos and roughness.
 const GAMMA: f64 = 2.2;
-/// Radiance below which a photo's code is continued as a line: an eighth of what the first code of an 8-bit file stands for.
-const DARK: f64 = 6e-7;
 /// Largest x^2 + y^2 of a normal.
 pub const FLAT_LIMIT: f64 = 0.998;
+const INVERSE_PI: f64 = std::f64::consts::FRAC_1_PI;
 
 /// What a pixel's position and a photo's camera and light make of the shading model.
 #[derive(Clone, Copy, Debug)]
-pub struct Sight {
-    view: [f64; 3],
-    light: [f64; 3],
-    half: [f64; 3],
-    irradiance: [f64; 3],
+pub struct Sight<L> {
+    view: [L; 3],
+    light: [L; 3],
+    half: [L; 3],
+    irradiance: [L; 3],
     /// Weight of white in Schlick's term.
-    fresnel: f64,
+    fresnel: L,
 }
 
 /// A pixel's material: raw values decoded, and the slopes of the decoding.
 #[derive(Clone, Copy, Debug)]
-pub struct Surface {
-    diffuse: [f64; 3],
-    specular: [f64; 3],
-    d_diffuse: [f64; 3],
-    d_specular: [f64; 3],
-    normal: [f64; 3],
+pub struct Surface<L> {
+    diffuse: [L; 3],
+    specular: [L; 3],
+    d_diffuse: [L; 3],
+    d_specular: [L; 3],
+    normal: [L; 3],
     /// GGX width, the square of the perceptual roughness.
-    alpha: f64,
-    d_alpha: f64,
+    alpha: L,
+    d_alpha: L,
 }
 
 /// See [`Sight::parts`].
 #[derive(Clone, Copy, Debug)]
-pub struct Parts {
-    pub diffuse: [f64; 3],
-    pub specular: [f64; 3],
-    pub fresnel: f64,
+pub struct Parts<L> {
+    pub diffuse: [L; 3],
+    pub specular: [L; 3],
+    pub fresnel: L,
 }
 
 /// An encoded colour and the derivatives of each channel by that channel's diffuse value, normal x and y, roughness, specular value.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Seen {
-    pub code: [f64; 3],
-    pub slopes: [[f64; 5]; 3],
+#[derive(Clone, Copy, Debug)]
+pub struct Seen<L> {
+    pub code: [L; 3],
+    pub slopes: [[L; 5]; 3],
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+/// From (x, y, 0) to `place`, whose coordinates are divided by `length`.
+#[inline(always)]
+fn from_point<L: Lanes>(place: [f64; 3], length: f64, [x, y]: [L; 2]) -> [L; 3] {
+    [L::splat(place[0] / length) - x, L::splat(place[1] / length) - y, L::splat(place[2] / length)]
 }
 
-fn scaled(a: [f64; 3], factor: f64) -> [f64; 3] {
-    a.map(|x| x * factor)
+#[inline(always)]
+fn unit<L: Lanes>(a: [L; 3]) -> [L; 3] {
+    scale(a, L::splat(1.0) / dot(a, a).sqrt().max(L::splat(L::NORMAL_RANGE[0])))
 }
 
-fn between(from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
-    [to[0] - from[0], to[1] - from[1], to[2] - from[2]]
+/// A bundle of what `value` says of `items`, of which there is at least one; where there are fewer than it has elements the last one again.
+#[inline(always)]
+pub fn bundle<L: Lanes, T>(items: &[T], value: impl Fn(&T) -> f32) -> L {
+    let mut values = [0.0; LANES_MAX];
+    for (i, out) in values.iter_mut().take(L::LANES).enumerate() {
+        *out = value(&items[i.min(items.len() - 1)]);
+    }
+    L::load_f32(&values)
 }
 
-fn unit(a: [f64; 3]) -> [f64; 3] {
-    scaled(a, 1.0 / dot(a, a).sqrt().max(f64::MIN_POSITIVE))
+/// Likewise which channels are saturated, of bytes with a bit for each.
+#[inline(always)]
+pub fn saturated<L: Lanes, T>(items: &[T], value: impl Fn(&T) -> u8) -> [L::Mask; 3] {
+    let mut bytes = [0; LANES_MAX];
+    for (i, out) in bytes.iter_mut().take(L::LANES).enumerate() {
+        *out = value(&items[i.min(items.len() - 1)]);
+    }
+    [L::bits_set(&bytes, 0), L::bits_set(&bytes, 1), L::bits_set(&bytes, 2)]
 }
 
-impl Sight {
-    /// The point (x, y, 0) in the photo `shot`, all in one unit of length.
-    pub fn new(shot: &Shot, x: f64, y: f64) -> Self {
-        let point = [x, y, 0.0];
-        let to_light = between(point, shot.light);
-        let distance2 = dot(to_light, to_light).max(f64::MIN_POSITIVE);
-        let light = scaled(to_light, 1.0 / distance2.sqrt());
-        let view = unit(between(point, shot.camera));
+/// The first `count` elements of bundles.
+#[inline(always)]
+pub fn unbundle<L: Lanes<Scalar = R>, R: Real, const N: usize>(
+    bundles: [L; N],
+    count: usize,
+) -> impl Iterator<Item = [f32; N]> {
+    let mut values = [[R::default(); LANES_MAX]; N];
+    for i in 0..N {
+        bundles[i].store(&mut values[i]);
+    }
+    (0..count).map(move |lane| std::array::from_fn(|i| values[i][lane].to_f64() as f32))
+}
+
+impl<L: Lanes> Sight<L> {
+    /// Pixels of `capture`, as `pixel` says which, in a photo taken as `shot` says.
+    #[inline(always)]
+    pub fn of_pixels<T>(capture: &Capture, shot: &Shot, items: &[T], pixel: impl Fn(&T) -> usize) -> Self {
+        // In the unit of half the patch single precision has range for whatever the capture's is.
+        let length = 0.5 * capture.patch_size();
+        let along = |item: &T, axis: usize| {
+            let pixel = pixel(item);
+            (capture.position(pixel / capture.width(), pixel % capture.width())[axis] / length) as f32
+        };
+        Self::new(shot, length, [bundle(items, |item| along(item, 0)), bundle(items, |item| along(item, 1))])
+    }
+
+    /// The points (x, y, 0) in the photo `shot`. `length` is what x and y count in, in the unit of `shot`.
+    #[inline(always)]
+    pub fn new(shot: &Shot, length: f64, [x, y]: [L; 2]) -> Self {
+        let to_light = from_point(shot.light, length, [x, y]);
+        let distance2 = dot(to_light, to_light).max(L::splat(L::NORMAL_RANGE[0]));
+        let light = scale(to_light, L::splat(1.0) / distance2.sqrt());
+        let view = unit(from_point(shot.camera, length, [x, y]));
         let half = unit([view[0] + light[0], view[1] + light[1], view[2] + light[2]]);
-        let v_dot_h = dot(view, half).clamp(0.0, 1.0);
-        Self {
-            view,
-            light,
-            half,
-            irradiance: shot.light_intensity.map(|intensity| intensity / distance2),
-            fresnel: ((-5.55473 * v_dot_h - 6.98316) * v_dot_h).exp2(),
+        let v_dot_h = dot(view, half).max(L::splat(0.0)).min(L::splat(1.0));
+        let mut irradiance = [distance2; 3];
+        for c in 0..3 {
+            irradiance[c] = L::splat(shot.light_intensity[c] / (length * length)) / distance2;
         }
+        let fresnel = (v_dot_h.mul_add(L::splat(-5.55473), L::splat(-6.98316)) * v_dot_h).exp2();
+        Self { view, light, half, irradiance, fresnel }
     }
 
     /// What a surface with this unit normal and GGX width sends to the camera, as parts: the radiance that the diffuse albedo `d` and the specular
     /// albedo `s` give is `diffuse d (1 - s) + specular (s + (1 - s) fresnel)`, per channel. All 0 where it is turned away.
-    pub fn parts(&self, normal: [f64; 3], alpha: f64) -> Parts {
-        let (n_dot_l, n_dot_v) = (dot(normal, self.light).max(0.0), dot(normal, self.view));
-        let facing = if n_dot_v > 0.0 { 1.0 } else { 0.0 };
-        let n_dot_h = dot(normal, self.half);
-        let narrow = (1.0 - alpha) * (1.0 + alpha);
-        let q = (1.0 - n_dot_h * n_dot_h).max(0.0) * narrow + alpha * alpha;
-        let k = 0.5 * alpha;
-        let (a, b) = (n_dot_v * (1.0 - k) + k, n_dot_l * (1.0 - k) + k);
-        let lobe = alpha * alpha / (std::f64::consts::PI * q * q * 4.0 * a * b) * n_dot_l * facing;
-        let matt = n_dot_l * facing / std::f64::consts::PI;
-        Parts {
-            diffuse: self.irradiance.map(|e| e * matt),
-            specular: self.irradiance.map(|e| e * lobe),
-            fresnel: self.fresnel,
-        }
+    #[inline(always)]
+    pub fn parts(&self, normal: [L; 3], alpha: L) -> Parts<L> {
+        let zero = L::splat(0.0);
+        let (n_dot_l, n_dot_v) = (dot(normal, self.light), dot(normal, self.view));
+        let facing = n_dot_l.gt(zero) & n_dot_v.gt(zero);
+        let across = cross(normal, self.half);
+        let lobe = L::select(facing, gain(dot(across, across), n_dot_l, n_dot_v, alpha).0 * n_dot_l, zero);
+        let matt = L::select(facing, n_dot_l * L::splat(INVERSE_PI), zero);
+        Parts { diffuse: scale(self.irradiance, matt), specular: scale(self.irradiance, lobe), fresnel: self.fresnel }
     }
 
     /// What the photo shows of `surface`.
-    pub fn look(&self, surface: &Surface) -> Seen {
+    #[inline(always)]
+    pub fn look(&self, surface: &Surface<L>) -> Seen<L> {
+        let (zero, one, two, four) = (L::splat(0.0), L::splat(1.0), L::splat(2.0), L::splat(4.0));
         let Surface { normal, alpha, .. } = *surface;
         let (n_dot_l, n_dot_v) = (dot(normal, self.light), dot(normal, self.view));
-        if n_dot_l <= 0.0 || n_dot_v <= 0.0 {
-            return Seen::default();
-        }
+        let facing = n_dot_l.gt(zero) & n_dot_v.gt(zero);
         let h = self.half;
-        let cross = [
-            normal[1] * h[2] - normal[2] * h[1],
-            normal[2] * h[0] - normal[0] * h[2],
-            normal[0] * h[1] - normal[1] * h[0],
-        ];
         let n_dot_h = dot(normal, h);
-        let narrow = (1.0 - alpha) * (1.0 + alpha);
-        let q = dot(cross, cross).min(1.0) * narrow + alpha * alpha;
-        let k = 0.5 * alpha;
-        let (a, b) = (n_dot_v * (1.0 - k) + k, n_dot_l * (1.0 - k) + k);
-        let gain = alpha * alpha / (std::f64::consts::PI * q * q * 4.0 * a * b);
+        // |n x h|^2 is 1 - (n.h)^2.
+        let across = cross(normal, h);
+        let (gain, q, a, b) = gain(dot(across, across), n_dot_l, n_dot_v, alpha);
         let lobe = gain * n_dot_l;
 
-        // By the components of the normal, z following from x and y; |n x h|^2 is 1 - (n.h)^2.
+        // By the components of the normal, z following from x and y.
         let (tx, ty) = (normal[0] / normal[2], normal[1] / normal[2]);
-        let along = |w: [f64; 3]| [w[0] - w[2] * tx, w[1] - w[2] * ty];
-        let (d_l, d_v, d_h) = (along(self.light), along(self.view), along(h));
-        let of_q = 4.0 * n_dot_h * narrow / q;
-        let d_normal = [0, 1].map(|i| lobe * (of_q * d_h[i] - (1.0 - k) * (d_v[i] / a + d_l[i] / b)) + gain * d_l[i]);
+        let (d_l, d_v, d_h) = (along(self.light, tx, ty), along(self.view, tx, ty), along(h, tx, ty));
+        let narrow = (one - alpha) * (one + alpha);
+        let of_q = four * n_dot_h * narrow / q;
+        let masked = L::splat(0.5).mul_add(-alpha, one);
+        let mut d_normal = [zero; 2];
+        for i in 0..2 {
+            let of_masking = masked * (d_v[i] / a + d_l[i] / b);
+            d_normal[i] = lobe * (of_q * d_h[i] - of_masking) + gain * d_l[i];
+        }
         let d_alpha = lobe
-            * (2.0 / alpha - 4.0 * alpha * n_dot_h * n_dot_h / q - 0.5 * ((1.0 - n_dot_v) / a + (1.0 - n_dot_l) / b));
+            * (two / alpha
+                - four * alpha * n_dot_h * n_dot_h / q
+                - L::splat(0.5) * ((one - n_dot_v) / a + (one - n_dot_l) / b));
 
-        let mut seen = Seen::default();
+        let matt_part = n_dot_l * L::splat(INVERSE_PI);
+        let mut seen = Seen { code: [zero; 3], slopes: [[zero; 5]; 3] };
         for c in 0..3 {
             let (d, s, e) = (surface.diffuse[c], surface.specular[c], self.irradiance[c]);
-            let matt = d * (1.0 - s) / std::f64::consts::PI;
-            let reflectance = s + (1.0 - s) * self.fresnel;
-            let radiance = (matt * n_dot_l + reflectance * lobe) * e;
-            let (code, slope) = encode(radiance);
+            let matt = d * (one - s) * L::splat(INVERSE_PI);
+            let reflectance = (one - s).mul_add(self.fresnel, s);
+            let (code, slope) = encode((matt * n_dot_l + reflectance * lobe) * e);
             let slope = slope * e;
-            seen.code[c] = code;
-            seen.slopes[c] = [
-                slope * (1.0 - s) / std::f64::consts::PI * n_dot_l * surface.d_diffuse[c],
+            seen.code[c] = L::select(facing, code, zero);
+            let slopes = [
+                slope * (one - s) * matt_part * surface.d_diffuse[c],
                 slope * (matt * d_l[0] + reflectance * d_normal[0]),
                 slope * (matt * d_l[1] + reflectance * d_normal[1]),
                 slope * reflectance * d_alpha * surface.d_alpha,
-                slope * ((1.0 - self.fresnel) * lobe - d / std::f64::consts::PI * n_dot_l) * surface.d_specular[c],
+                slope * ((one - self.fresnel) * lobe - d * matt_part) * surface.d_specular[c],
             ];
+            for i in 0..5 {
+                seen.slopes[c][i] = L::select(facing, slopes[i], zero);
+            }
         }
         seen
     }
 }
 
-/// Gamma 2.2 code of a radiance and its slope.
-fn encode(radiance: f64) -> (f64, f64) {
-    let bright = radiance.max(DARK);
-    let code = bright.powf(1.0 / GAMMA);
-    let slope = code / (GAMMA * bright);
-    (code + slope * (radiance - bright), slope)
+/// How the product of `w` with the normal changes with the normal's x and y, where z follows from them.
+#[inline(always)]
+fn along<L: Lanes>(w: [L; 3], tx: L, ty: L) -> [L; 2] {
+    [w[0] - w[2] * tx, w[1] - w[2] * ty]
+}
+
+/// Distribution and masking over four times the cosines, and the parts that its derivatives are made of: `q = |n x h|^2 (1 - alpha^2) + alpha^2`
+/// and the two denominators of the masking.
+#[inline(always)]
+fn gain<L: Lanes>(sine2: L, n_dot_l: L, n_dot_v: L, alpha: L) -> (L, L, L, L) {
+    let one = L::splat(1.0);
+    let q = sine2.min(one).mul_add((one - alpha) * (one + alpha), alpha * alpha);
+    let k = L::splat(0.5) * alpha;
+    let (a, b) = (n_dot_v.mul_add(one - k, k), n_dot_l.mul_add(one - k, k));
+    (alpha * alpha / (L::splat(4.0 / INVERSE_PI) * q * q * a * b), q, a, b)
 }
 
 /// The inverse of an albedo's or roughness's code, `((raw + 1) / 2)^2.2`, and its slope.
-fn power(raw: f64) -> (f64, f64) {
-    let code = 0.5 * (raw + 1.0);
-    let steep = code.max(0.0).powf(GAMMA - 1.0);
-    (steep * code.max(0.0), 0.5 * GAMMA * steep)
+#[inline(always)]
+fn power<L: Lanes>(raw: L) -> (L, L) {
+    let code = L::splat(0.5).mul_add(raw, L::splat(0.5));
+    let steep = code.pow(GAMMA - 1.0);
+    (steep * code, L::splat(0.5 * GAMMA) * steep)
 }
 
-impl Surface {
+impl<L: Lanes> Surface<L> {
     /// The surface of raw values within their limits.
-    pub fn new(raw: &[f64; RAW]) -> Self {
-        let (mut diffuse, mut specular, mut d_diffuse, mut d_specular) = ([0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3]);
+    #[inline(always)]
+    pub fn new(raw: &[L; RAW]) -> Self {
+        let zero = [L::splat(0.0); 3];
+        let (mut diffuse, mut specular, mut d_diffuse, mut d_specular) = (zero, zero, zero, zero);
         for c in 0..3 {
             (diffuse[c], d_diffuse[c]) = power(raw[c]);
             (specular[c], d_specular[c]) = power(raw[SPECULAR + c]);
         }
         let (x, y) = (raw[NORMAL], raw[NORMAL + 1]);
         let (roughness, d_roughness) = power(raw[ROUGHNESS]);
-        let roughness = roughness.max(crate::brdf::ROUGHNESS_MIN);
+        let roughness = roughness.max(L::splat(crate::brdf::ROUGHNESS_MIN));
+        let z2 = (L::splat(1.0) - x * x - y * y).max(L::splat(1.0 - FLAT_LIMIT));
         Self {
             diffuse,
             specular,
             d_diffuse,
             d_specular,
-            normal: [x, y, (1.0 - x * x - y * y).max(1.0 - FLAT_LIMIT).sqrt()],
+            normal: [x, y, z2.sqrt()],
             alpha: roughness * roughness,
-            d_alpha: 2.0 * roughness * d_roughness,
+            d_alpha: L::splat(2.0) * roughness * d_roughness,
         }
     }
 }
@@ -234,7 +287,7 @@ mod tests {
             Decoding::new(Lobe::Isotropic).decode(&raw, &mut maps).unwrap();
             for shot in shots() {
                 let expected = render_maps(&maps, 2.0, &shot).unwrap();
-                let seen = Sight::new(&shot, 0.0, 0.0).look(&Surface::new(&raw));
+                let seen = Sight::<f64>::new(&shot, 1.0, [0.0, 0.0]).look(&Surface::new(&raw));
                 for c in 0..3 {
                     let expected: f64 = encode_radiance(expected[c]);
                     assert!((seen.code[c] - expected).abs() < 1e-6 * (1.0 + expected), "{raw:?} {shot:?}");
@@ -249,11 +302,12 @@ mod tests {
         for _ in 0..50 {
             let surface = Surface::new(&random(&mut rng));
             for shot in shots() {
-                let sight = Sight::new(&shot, 0.3, -0.4);
+                let sight = Sight::<f64>::new(&shot, 1.0, [0.3, -0.4]);
                 let parts = sight.parts(surface.normal, surface.alpha);
                 for (c, code) in sight.look(&surface).code.into_iter().enumerate() {
                     let (d, s) = (surface.diffuse[c], surface.specular[c]);
                     let sum = parts.diffuse[c] * d * (1.0 - s) + parts.specular[c] * (s + (1.0 - s) * parts.fresnel);
+                    // Above the encoding's toe.
                     let expected = code.powf(2.2);
                     assert!((sum - expected).abs() < 1e-6 * (1e-3 + expected), "{sum} {expected}");
                 }
@@ -268,7 +322,7 @@ mod tests {
         for _ in 0..50 {
             let raw = random(&mut rng);
             for shot in shots() {
-                let sight = Sight::new(&shot, 0.3, -0.4);
+                let sight = Sight::<f64>::new(&shot, 1.0, [0.3, -0.4]);
                 let seen = sight.look(&Surface::new(&raw));
                 for i in 0..RAW {
                     let at = |by: f64| {

@@ -24,6 +24,7 @@ use crate::{memory, pool};
 #[doc(hidden)]
 pub use tape::photo_loss_on_tape;
 
+pub(crate) use loss::encode;
 pub use loss::{TOE, Target, encode_radiance, photo_loss};
 #[cfg(feature = "train")]
 pub(crate) use rendering::rendering_loss;
