@@ -1,5 +1,6 @@
 //! The Python module `svbrdf_gcn._svbrdf_gcn`: translates between Python and the core, which computes.
 
+mod acquire;
 mod arrays;
 mod capture;
 mod errors;
@@ -15,6 +16,8 @@ mod _svbrdf_gcn {
 
     use pyo3::prelude::*;
 
+    #[pymodule_export]
+    use crate::acquire::{PyAcquisition, py_acquire};
     #[pymodule_export]
     use crate::capture::PyCapture;
     #[pymodule_export]

@@ -124,22 +124,32 @@ impl<'py> Expected<'py> for Bytes {
     }
 }
 
-/// Integers out of anything that can be gone through, generators too, but no text.
-pub struct Integers(pub Vec<i128>);
+macro_rules! listed {
+    ($($list:ident($type:ident): $name:literal;)*) => {$(
+        #[doc = concat!("A list, generator or the like of ", $name, ", but no text.")]
+        pub struct $list(pub Vec<$type>);
 
-impl<'py> Expected<'py> for Integers {
-    const HINT: PyStaticExpr = type_hint_subscript!(
-        type_hint_identifier!("collections.abc", "Iterable"),
-        <i128 as FromPyObject<'_, 'py>>::INPUT_TYPE
-    );
-    const NAME: &'static str = "integers";
+        impl<'py> Expected<'py> for $list {
+            const HINT: PyStaticExpr = type_hint_subscript!(
+                type_hint_identifier!("collections.abc", "Iterable"),
+                <$type as FromPyObject<'_, 'py>>::INPUT_TYPE
+            );
+            const NAME: &'static str = $name;
 
-    fn take(object: &Bound<'py, PyAny>) -> PyResult<Self> {
-        if object.is_instance_of::<PyString>() || object.is_instance_of::<PyBytes>() {
-            return Err(PyTypeError::new_err("text"));
+            fn take(object: &Bound<'py, PyAny>) -> PyResult<Self> {
+                if object.is_instance_of::<PyString>() || object.is_instance_of::<PyBytes>() {
+                    return Err(PyTypeError::new_err("text"));
+                }
+                items(object)?.iter().map(|item| item.extract()).collect::<PyResult<_>>().map(Self)
+            }
         }
-        items(object)?.iter().map(|item| item.extract()).collect::<PyResult<_>>().map(Self)
-    }
+    )*};
+}
+
+listed! {
+    Integers(i128): "integers";
+    Numbers(f64): "numbers";
+    Paths(PathBuf): "paths";
 }
 
 /// What can be gone through, as a list.

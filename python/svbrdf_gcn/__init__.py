@@ -11,6 +11,7 @@ capture: the sample lies centred in the plane z = 0, x to the right, y up, z tow
 
 from . import errors, metrics
 from ._svbrdf_gcn import (
+    Acquisition,
     CancelToken,
     Capture,
     Material,
@@ -18,6 +19,7 @@ from ._svbrdf_gcn import (
     Principled,
     Progress,
     __version__,
+    acquire,
     fit_material,
 )
 from .errors import (
@@ -32,6 +34,7 @@ from .errors import (
 )
 
 __all__ = [
+    "Acquisition",
     "ArgumentError",
     "BrokenFileError",
     "CancelToken",
@@ -47,6 +50,7 @@ __all__ = [
     "SvbrdfError",
     "WeightsError",
     "__version__",
+    "acquire",
     "errors",
     "fit_material",
     "metrics",

@@ -79,7 +79,7 @@ def acquired(folder, scene, shots, *arguments):
         make_photos.png.write(photos[-1], make_photos.photograph(scene, shot, i, samples=2))
     out = folder / "capture"
     report = json.loads(command("acquire", *photos, "-o", out, "--json", "--size", 256, *arguments).stdout)["report"]
-    return svbrdf_gcn.Capture.open(out), report
+    return photos, svbrdf_gcn.Capture.open(out), report
 
 
 def test_photos_become_their_capture(tmp_path, sheet):
@@ -89,7 +89,7 @@ def test_photos_become_their_capture(tmp_path, sheet):
     shots[2].roll += np.pi
     shots[3].size = (800, 1200)
     shots[4].blur = 12
-    capture, report = acquired(tmp_path, scene, shots, "--depth", "1mm", "--light-offset", "12,5")
+    photos, capture, report = acquired(tmp_path, scene, shots, "--depth", "1mm", "--light-offset", "12,5")
     assert [photo["tags"] for photo in report["photos"]] == [16] * 6 and not report["left_out"]
     errors = make_photos.compare(capture, report, scene, shots)
     assert np.median(errors["position"]) < 0.002 and max(errors["position"]) < 0.01, errors
@@ -97,6 +97,32 @@ def test_photos_become_their_capture(tmp_path, sheet):
     assert np.median(errors["light"]) < 0.02 and max(errors["light"]) < 0.05, errors
     assert any("4.png: is blurred" in warning for warning in report["warnings"]), report["warnings"]
     assert capture.unit == "mm" and capture.patch_size == pytest.approx(96)
+    # The same in Python, and its files.
+    acquisition = svbrdf_gcn.acquire(iter(photos), depth=1, light_offset=(12, 5), size=256)
+    assert acquisition.report == report and repr(acquisition) == "<svbrdf_gcn.Acquisition: 6 photos, 0 left out>"
+    assert np.array_equal(acquisition.capture.camera_positions, capture.camera_positions)
+    acquisition.save(tmp_path / "python")
+    for name in ("capture.json", "00.exr"):
+        assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "capture" / name).read_bytes()
+
+
+def test_arguments_of_acquire_are_named(tmp_path):
+    for arguments, error, said in [
+        ({"photos": "0.png"}, svbrdf_gcn.FormatError, "photos: expected paths, got '0.png'"),
+        ({"photos": [1]}, svbrdf_gcn.FormatError, "photos: expected paths"),
+        ({"photos": [], "window": 1}, svbrdf_gcn.ArgumentError, "window: expected 20 mm to 1000 mm, got 1"),
+        ({"photos": [], "window": 90, "frame_width": 90}, svbrdf_gcn.ArgumentError, "frame_width: is the other sheet's"),
+        ({"photos": [], "printed_bar": 9.8}, svbrdf_gcn.ArgumentError, "printed_bar: expected the printed length of 100 mm, 50 to 200, got 9.8"),
+        ({"photos": [], "light_offset": [1, 2, 3]}, svbrdf_gcn.ArgumentError, "light_offset: expected two numbers, got 3"),
+        ({"photos": [], "paper_white": 2}, svbrdf_gcn.ArgumentError, "paper_white: expected an albedo above 0 and at most 1, got 2"),
+        ({"photos": [tmp_path / "none.png"]}, FileNotFoundError, "none.png"),
+    ]:
+        with pytest.raises(error, match=said):
+            svbrdf_gcn.acquire(**arguments)
+    token = svbrdf_gcn.CancelToken()
+    token.cancel()
+    with pytest.raises(svbrdf_gcn.Cancelled):
+        svbrdf_gcn.acquire([ROOT / "samples" / "tiles" / "00.png"], cancel=token)
 
 
 def test_photos_that_cannot_be_used_are_named(tmp_path, sheet):

@@ -1,0 +1,168 @@
+//! `acquire`, from raw photos to a capture.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use pyo3::prelude::*;
+use svbrdf_gcn::CancelToken;
+use svbrdf_gcn::acquire::{AcquireOptions, Acquisition, Sheet, acquire};
+
+use crate::capture::PyCapture;
+use crate::errors::{argument, exception, interruptible};
+use crate::fit::{PyCancelToken, token};
+use crate::options::{Bytes, Given, Numbers, Paths, bytes, maybe, maybe_count};
+use crate::types::Json;
+
+/// Millimetres of the sheet's bar as it is meant to be printed.
+const BAR: f64 = 100.0;
+/// Width of the sheet's window in millimetres.
+const WINDOW: f64 = 100.0;
+
+/// A capture made of raw photos, and how it came about; see ``acquire``.
+#[pyclass(frozen, name = "Acquisition", module = "svbrdf_gcn")]
+pub struct PyAcquisition {
+    acquisition: Acquisition,
+    capture: Arc<svbrdf_gcn::Capture>,
+}
+
+#[pymethods]
+impl PyAcquisition {
+    /// The rectified photos with their positions, in millimetres.
+    #[getter]
+    fn capture(&self) -> PyCapture {
+        PyCapture(self.capture.clone())
+    }
+
+    /// What was found: ``photos``, those ``left_out`` with the reason, ``lenses``, ``warnings``.
+    #[getter]
+    fn report<'py>(&self, py: Python<'py>) -> PyResult<Json<'py>> {
+        Json::of(py, &self.acquisition.report)
+    }
+
+    /// Write the capture to a folder: ``capture.json``, the rectified photos as OpenEXR, and for each with saturated pixels a PNG that says which.
+    ///
+    /// Parameters
+    /// ----------
+    /// folder : str or os.PathLike
+    ///     Made if it is not there.
+    ///
+    /// Raises
+    /// ------
+    /// ArgumentError
+    ///     If that would replace files that are not ours.
+    /// OSError
+    ///     If it cannot be written.
+    ///
+    /// Examples
+    /// --------
+    /// >>> acquisition = svbrdf_gcn.acquire(photos, depth=1)  # doctest: +SKIP
+    /// >>> acquisition.save("leather")  # doctest: +SKIP
+    fn save(&self, py: Python<'_>, folder: Given<'_, PathBuf>) -> PyResult<()> {
+        let folder = folder.take("folder")?;
+        crate::errors::detached(py, || self.acquisition.save(folder))
+    }
+
+    fn __repr__(&self) -> String {
+        let (photos, left_out) = (self.capture.len(), self.acquisition.report.left_out.len());
+        format!("<svbrdf_gcn.Acquisition: {photos} photos, {left_out} left out>")
+    }
+}
+
+/// Make a capture of photos that show the sample in the window of a printed sheet (``svbrdf-gcn sheet``, docs/capturing.md).
+///
+/// Lengths are in millimetres. Photos that cannot be used are left out and named in the report with the reason.
+///
+/// Parameters
+/// ----------
+/// photos : iterable of str or os.PathLike
+///     The photos' files.
+/// window : float, optional
+///     Width of the window of our own sheet; 100 if not given.
+/// frame_width : float, optional
+///     The photos show the frame of svbrdf-diff-renderer instead, this wide from outer edge to outer edge.
+/// printed_bar : float, optional
+///     Length of the sheet's bar of 100 mm as it was printed.
+/// depth : float, default 0
+///     How far the sample lies below the sheet's face.
+/// size : int, optional
+///     Side of the rectified photos in pixels, 16 to 16384; 1024 if not given. They are never finer than the photos.
+/// light_offset : iterable of float, optional
+///     Where the flash is, seen from the lens: to the right and up in the photos. At the lens if not given.
+/// paper_white : float, default 0.8
+///     Diffuse albedo of the paper.
+/// max_memory : int or str, optional
+///     Most bytes the work may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
+/// cancel : CancelToken, optional
+///     Stops the work from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
+///
+/// Returns
+/// -------
+/// Acquisition
+///     Its `capture` is what ``fit_material`` takes.
+///
+/// Raises
+/// ------
+/// ArgumentError
+///     For options out of range, and if no photo can be used.
+/// OSError, FormatError
+///     For photos that cannot be read.
+/// MemoryError
+///     If the photos need more than `max_memory`.
+/// Cancelled
+///     If `cancel` was cancelled.
+///
+/// Examples
+/// --------
+/// >>> try:
+/// ...     svbrdf_gcn.acquire(["samples/tiles/00.png"])
+/// ... except svbrdf_gcn.ArgumentError as error:
+/// ...     print("none can be used" in str(error))
+/// True
+#[pyfunction]
+#[pyo3(name = "acquire", signature = (photos, *, window = None, frame_width = None, printed_bar = None, depth = Given::Default(0.0), size = None,
+    light_offset = None, paper_white = Given::Default(0.8), max_memory = None, cancel = None))]
+#[allow(clippy::too_many_arguments, reason = "they have names in Python")]
+pub fn py_acquire(
+    py: Python<'_>,
+    photos: Given<'_, Paths>,
+    window: Option<Given<'_, f64>>,
+    frame_width: Option<Given<'_, f64>>,
+    printed_bar: Option<Given<'_, f64>>,
+    depth: Given<'_, f64>,
+    size: Option<Given<'_, i128>>,
+    light_offset: Option<Given<'_, Numbers>>,
+    paper_white: Given<'_, f64>,
+    max_memory: Option<Given<'_, Bytes>>,
+    cancel: Option<Given<'_, Bound<'_, PyCancelToken>>>,
+) -> PyResult<PyAcquisition> {
+    let Paths(photos) = photos.take("photos")?;
+    let raised = |error: svbrdf_gcn::Error| exception(py, &error);
+    let sheet = match (maybe("window", window)?, maybe("frame_width", frame_width)?) {
+        (Some(_), Some(_)) => {
+            return Err(argument("frame_width", "is the other sheet's, which has no window, got both"));
+        }
+        (None, Some(width)) => Sheet::tags16(width).map_err(raised)?,
+        (window, None) => Sheet::new(window.unwrap_or(WINDOW)).map_err(raised)?,
+    };
+    let bar = maybe("printed_bar", printed_bar)?.unwrap_or(BAR);
+    if !(0.5 * BAR..=2.0 * BAR).contains(&bar) {
+        return Err(argument(
+            "printed_bar",
+            format_args!("expected the printed length of 100 mm, 50 to 200, got {bar}"),
+        ));
+    }
+    let mut options = AcquireOptions::new(sheet.scaled(bar / BAR));
+    options.depth = depth.take("depth")?;
+    options.size = maybe_count("size", size)?;
+    options.paper_white = paper_white.take("paper_white")?;
+    options.max_memory = bytes(max_memory)?;
+    if let Some(Numbers(offset)) = maybe("light_offset", light_offset)? {
+        options.light_offset = <[f64; 2]>::try_from(offset)
+            .map_err(|offset| argument("light_offset", format_args!("expected two numbers, got {}", offset.len())))?;
+    }
+    let token: CancelToken = token(cancel)?;
+    options.cancel = token.child();
+    let acquisition = interruptible(py, &options.cancel, || acquire(&photos, &options))?;
+    let capture = Arc::new(acquisition.capture.clone());
+    Ok(PyAcquisition { acquisition, capture })
+}
