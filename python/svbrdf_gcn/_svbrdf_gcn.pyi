@@ -9,9 +9,47 @@ from numpy.typing import ArrayLike, NDArray
 from os import PathLike
 from typing import Any, Final, SupportsFloat, SupportsIndex, final
 
-__all__ = ["__version__", "CancelToken", "Capture", "Material", "Model", "Principled", "Progress", "command_line", "fit_material", "map_errors", "photo_errors", "photo_rmse"]
+__all__ = ["__version__", "Acquisition", "CancelToken", "Capture", "Material", "Model", "Principled", "Progress", "acquire", "command_line", "fit_material", "map_errors", "photo_errors", "photo_rmse"]
 
 __version__: Final[str]
+
+@final
+class Acquisition:
+    """
+    A capture made of raw photos, and how it came about; see ``acquire``.
+    """
+    def __repr__(self, /) -> str: ...
+    @property
+    def capture(self, /) -> Capture:
+        """
+        The rectified photos with their positions, in millimetres.
+        """
+    @property
+    def report(self, /) -> dict[str, Any]:
+        """
+        What was found: ``photos``, those ``left_out`` with the reason, ``lenses``, ``warnings``.
+        """
+    def save(self, /, folder: str | PathLike[str]) -> None:
+        """
+        Write the capture to a folder: ``capture.json``, the rectified photos as OpenEXR, and for each with saturated pixels a PNG that says which.
+
+        Parameters
+        ----------
+        folder : str or os.PathLike
+            Made if it is not there.
+
+        Raises
+        ------
+        ArgumentError
+            If that would replace files that are not ours.
+        OSError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> acquisition = svbrdf_gcn.acquire(photos, depth=1)  # doctest: +SKIP
+        >>> acquisition.save("leather")  # doctest: +SKIP
+        """
 
 @final
 class CancelToken:
@@ -685,6 +723,60 @@ class Progress:
         """
         Steps that the stage takes at most.
         """
+
+def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | SupportsIndex | None = None, frame_width: SupportsFloat | SupportsIndex | None = None, printed_bar: SupportsFloat | SupportsIndex | None = None, depth: SupportsFloat | SupportsIndex = ..., size: SupportsIndex | None = None, light_offset: Iterable[SupportsFloat | SupportsIndex] | None = None, paper_white: SupportsFloat | SupportsIndex = ..., max_memory: SupportsIndex | str | None = None, cancel: CancelToken | None = None) -> Acquisition:
+    """
+    Make a capture of photos that show the sample in the window of a printed sheet (``svbrdf-gcn sheet``, docs/capturing.md).
+
+    Lengths are in millimetres. Photos that cannot be used are left out and named in the report with the reason.
+
+    Parameters
+    ----------
+    photos : iterable of str or os.PathLike
+        The photos' files.
+    window : float, optional
+        Width of the window of our own sheet; 100 if not given.
+    frame_width : float, optional
+        The photos show the frame of svbrdf-diff-renderer instead, this wide from outer edge to outer edge.
+    printed_bar : float, optional
+        Length of the sheet's bar of 100 mm as it was printed.
+    depth : float, default 0
+        How far the sample lies below the sheet's face.
+    size : int, optional
+        Side of the rectified photos in pixels, 16 to 16384; 1024 if not given. They are never finer than the photos.
+    light_offset : iterable of float, optional
+        Where the flash is, seen from the lens: to the right and up in the photos. At the lens if not given.
+    paper_white : float, default 0.8
+        Diffuse albedo of the paper.
+    max_memory : int or str, optional
+        Most bytes the work may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
+    cancel : CancelToken, optional
+        Stops the work from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
+
+    Returns
+    -------
+    Acquisition
+        Its `capture` is what ``fit_material`` takes.
+
+    Raises
+    ------
+    ArgumentError
+        For options out of range, and if no photo can be used.
+    OSError, FormatError
+        For photos that cannot be read.
+    MemoryError
+        If the photos need more than `max_memory`.
+    Cancelled
+        If `cancel` was cancelled.
+
+    Examples
+    --------
+    >>> try:
+    ...     svbrdf_gcn.acquire(["samples/tiles/00.png"])
+    ... except svbrdf_gcn.ArgumentError as error:
+    ...     print("none can be used" in str(error))
+    True
+    """
 
 def command_line(arguments: SupportsGetItem[int, str]) -> int:
     """

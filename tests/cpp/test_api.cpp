@@ -1,5 +1,5 @@
 // The C++ wrapper as a C++17 program sees it: test_api SAMPLES [quick]
-// quick: smaller and fewer steps, for valgrind.
+// quick: smaller, fewer photos and steps, for valgrind.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -73,11 +73,12 @@ int main(int argc, char **argv) try {
 
     CaptureOptions capture_options;
     capture_options.size = quick ? 12 : 64;
-    capture_options.views = {0, 1, 2, 3, 4, 5, 6};
+    capture_options.views = quick ? std::vector<std::size_t>{0, 1, 2} : std::vector<std::size_t>{0, 1, 2, 3, 4, 5, 6};
     auto capture = Capture::open(samples + "/tiles", capture_options);
-    CHECK(capture.size() == 7 && capture.width() == static_cast<std::size_t>(*capture_options.size) && capture.height() == capture.width());
+    CHECK(capture.size() == capture_options.views->size() && capture.width() == static_cast<std::size_t>(*capture_options.size) && capture.height() == capture.width());
     CHECK(capture.warnings().empty());
-    CHECK(capture.shot(3).camera == Vec3{3.7, -4.6, 16.0} && capture.shot(3).light_intensity == Vec3{640, 620, 590});
+    CHECK(quick || capture.shot(3).camera == Vec3{3.7, -4.6, 16.0});
+    CHECK(capture.shot(2).light_intensity == Vec3{640, 620, 590});
 
     Options options;
     options.preset = Preset::Draft;
