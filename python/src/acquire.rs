@@ -19,6 +19,13 @@ const BAR: f64 = 100.0;
 const WINDOW: f64 = 100.0;
 
 /// A capture made of raw photos, and how it came about; see ``acquire``.
+///
+/// Examples
+/// --------
+/// >>> acquisition = svbrdf_gcn.acquire(photos, light_offset=(12, 0))  # doctest: +SKIP
+/// >>> acquisition  # doctest: +SKIP
+/// <svbrdf_gcn.Acquisition: 9 photos, 0 left out>
+/// >>> material = svbrdf_gcn.fit_material(acquisition.capture)  # doctest: +SKIP
 #[pyclass(frozen, name = "Acquisition", module = "svbrdf_gcn")]
 pub struct PyAcquisition {
     acquisition: Acquisition,

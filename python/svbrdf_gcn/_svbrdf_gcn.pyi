@@ -17,6 +17,13 @@ __version__: Final[str]
 class Acquisition:
     """
     A capture made of raw photos, and how it came about; see ``acquire``.
+
+    Examples
+    --------
+    >>> acquisition = svbrdf_gcn.acquire(photos, light_offset=(12, 0))  # doctest: +SKIP
+    >>> acquisition  # doctest: +SKIP
+    <svbrdf_gcn.Acquisition: 9 photos, 0 left out>
+    >>> material = svbrdf_gcn.fit_material(acquisition.capture)  # doctest: +SKIP
     """
     def __repr__(self, /) -> str: ...
     @property
