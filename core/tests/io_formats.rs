@@ -618,3 +618,28 @@ fn real_captures_open() {
         assert!((mean(&full) - mean(&capture.photos()[0].image)).abs() < 1e-6);
     }
 }
+
+/// The stream of `zip.tif`: another byte in it is an error, or the picture is the same (bits that pad it).
+#[test]
+fn a_damaged_deflate_stream_is_an_error() {
+    let whole = fs::read(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds/image/zip.tif")).unwrap();
+    let number = |at: usize| u32::from_le_bytes(whole[at..at + 4].try_into().unwrap()) as usize;
+    let directory = number(4);
+    let entries = usize::from(u16::from_le_bytes([whole[directory], whole[directory + 1]]));
+    let value = |tag: u16| {
+        let entry = (0..entries).map(|i| directory + 2 + 12 * i);
+        number(entry.into_iter().find(|&at| whole[at..at + 2] == tag.to_le_bytes()).unwrap() + 8)
+    };
+    let (offset, length) = (value(273), value(279));
+    let picture = decode_image("zip.tif", &whole, Transfer::Linear).unwrap();
+    let mut errors = 0;
+    for at in offset..offset + length {
+        let mut damaged = whole.clone();
+        damaged[at] ^= 0x10;
+        match decode_image("zip.tif", &damaged, Transfer::Linear) {
+            Ok(read) => assert_eq!(read, picture, "byte {at}"),
+            Err(_) => errors += 1,
+        }
+    }
+    assert!(errors >= length - 2, "{errors} of {length}");
+}
