@@ -408,26 +408,8 @@ fn a_capture_states_its_colour_space() {
 
 /// A JPEG with EXIF data of a lens of 26 mm (on film) and a flash that did not fire, for a photo of this size.
 fn jpeg_of_lens(width: u32, height: u32) -> Vec<u8> {
-    let entry = |tag: u16, kind: u16, count: u32, value: u32| {
-        [
-            tag.to_le_bytes().to_vec(),
-            kind.to_le_bytes().to_vec(),
-            count.to_le_bytes().to_vec(),
-            value.to_le_bytes().to_vec(),
-        ]
-        .concat()
-    };
-    let directory =
-        |entries: &[Vec<u8>]| [(entries.len() as u16).to_le_bytes().to_vec(), entries.concat(), vec![0; 4]].concat();
-    let mut exif = b"Exif\0\0II\x2a\0\x08\0\0\0".to_vec();
-    exif.extend(directory(&[entry(0x8769, 4, 1, 26)]));
-    exif.extend(directory(&[
-        entry(0x9209, 3, 1, 16),
-        entry(0xa002, 4, 1, width),
-        entry(0xa003, 4, 1, height),
-        entry(0xa405, 3, 1, 26),
-    ]));
-    files::jpeg_with(include_bytes!("fixtures/restart.jpg"), 0xe1, &exif)
+    let lens = [(0x9209, 3, 1, 16), (0xa002, 4, 1, width), (0xa003, 4, 1, height), (0xa405, 3, 1, 26)];
+    files::jpeg_with(include_bytes!("fixtures/restart.jpg"), 0xe1, &files::exif(&[&lens]))
 }
 
 #[test]

@@ -10,6 +10,8 @@ use serde_json::Value;
 #[allow(dead_code, reason = "shared by several tests")]
 #[path = "common/files.rs"]
 mod files;
+#[path = "common/material.rs"]
+mod material;
 
 fn samples(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples").join(path)
@@ -544,20 +546,7 @@ fn an_interrupt_ends_an_export_or_comes_too_late() {
     const SIDE: usize = 1024;
     let folder = tempfile::tempdir().unwrap();
     let maps = folder.path().join("maps");
-    let image = |channels: usize, value: fn(usize) -> f32| {
-        svbrdf_gcn::Image::new(SIDE, SIDE, channels, (0..SIDE * SIDE * channels).map(value).collect()).unwrap()
-    };
-    let noise = |i: usize| (i * 7919 % 1009) as f32 / 1009.0;
-    let material = svbrdf_gcn::Material {
-        diffuse_albedo: image(3, noise),
-        specular_albedo: image(3, noise),
-        roughness: image(1, noise),
-        normal: image(3, |i| f32::from(u8::from(i % 3 == 2))),
-        tangent: None,
-        patch_size: 1.0,
-        unit: None,
-        warnings: Vec::new(),
-    };
+    let material = material::noise(SIDE);
     material.save(&maps, &svbrdf_gcn::io::material::SaveOptions::default()).unwrap();
     let mut codes = Vec::new();
     for milliseconds in [100, 200, 400, 800, 600_000] {

@@ -235,22 +235,9 @@ fn damaged_profiles() {
 
 #[test]
 fn adobe_rgb_in_exif_data() {
-    // A directory with the EXIF one, which has "uncalibrated" and the index of interoperability R03.
-    let entry = |tag: u16, kind: u16, count: u32, value: u32| {
-        [
-            tag.to_le_bytes().to_vec(),
-            kind.to_le_bytes().to_vec(),
-            count.to_le_bytes().to_vec(),
-            value.to_le_bytes().to_vec(),
-        ]
-        .concat()
-    };
-    let directory =
-        |entries: &[Vec<u8>]| [(entries.len() as u16).to_le_bytes().to_vec(), entries.concat(), vec![0; 4]].concat();
-    let mut exif = b"Exif\0\0II\x2a\0\x08\0\0\0".to_vec();
-    exif.extend(directory(&[entry(0x8769, 4, 1, 26)]));
-    exif.extend(directory(&[entry(0xa001, 3, 1, 0xffff), entry(0xa005, 4, 1, 56)]));
-    exif.extend(directory(&[entry(1, 2, 4, u32::from_le_bytes(*b"R03\0"))]));
+    // An EXIF directory that has "uncalibrated" and the index of interoperability R03.
+    let uncalibrated = [(0xa001, 3, 1, 0xffff), (0xa005, 4, 1, 56)];
+    let exif = files::exif(&[&uncalibrated, &[(1, 2, 4, u32::from_le_bytes(*b"R03\0"))]]);
     let restart = include_bytes!("fixtures/restart.jpg");
     let capture = open(&files::jpeg_with(restart, 0xe1, &exif), "srgb", "");
     assert_warns(&capture, &["Adobe RGB"]);

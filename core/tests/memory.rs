@@ -3,6 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 #![allow(unsafe_code, reason = "an allocator that counts")]
 
+#[path = "common/material.rs"]
+mod material;
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -11,9 +14,7 @@ use std::sync::{Mutex, PoisonError};
 
 use svbrdf_gcn::io::material::SaveOptions;
 use svbrdf_gcn::nn::Model;
-use svbrdf_gcn::{
-    Capture, CaptureOptions, Error, FitOptions, Image, Material, Method, Progress, Shot, Transfer, fit_material,
-};
+use svbrdf_gcn::{Capture, CaptureOptions, Error, FitOptions, Image, Method, Progress, Shot, Transfer, fit_material};
 
 /// Counts the bytes that live, and their largest number.
 struct Counting;
@@ -190,20 +191,7 @@ fn budgets_of_commands() {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = tempfile::tempdir().unwrap();
     let side = 256;
-    let image = |channels: usize, value: fn(usize) -> f32| {
-        Image::new(side, side, channels, (0..side * side * channels).map(value).collect()).unwrap()
-    };
-    let noise = |i: usize| (i * 7919 % 1009) as f32 / 1009.0;
-    let material = Material {
-        diffuse_albedo: image(3, noise),
-        specular_albedo: image(3, noise),
-        roughness: image(1, noise),
-        normal: image(3, |i| f32::from(u8::from(i % 3 == 2))),
-        tangent: None,
-        patch_size: 1.0,
-        unit: None,
-        warnings: Vec::new(),
-    };
+    let material = material::noise(side);
     let maps = folder.path().join("maps");
     material.save(&maps, &SaveOptions::default()).unwrap();
     drop(material);

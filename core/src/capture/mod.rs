@@ -257,10 +257,9 @@ pub struct Capture {
 impl PartialEq for Capture {
     /// Whether what was read is the same; what the reading took does not count.
     fn eq(&self, other: &Self) -> bool {
-        let parts = |c: &Self| (c.patch_size, c.transfer, c.unit.clone());
-        let read = |c: &Self| (c.assumed, c.photos.len());
-        parts(self) == parts(other)
-            && read(self) == read(other)
+        let read = |c: &Self| (c.patch_size, c.transfer, c.assumed);
+        read(self) == read(other)
+            && self.unit == other.unit
             && self.photos == other.photos
             && self.warnings == other.warnings
     }

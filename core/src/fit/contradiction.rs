@@ -5,15 +5,13 @@
 //!
 //! Not from the paper.
 
-use std::ops::ControlFlow;
-
 use crate::capture::Capture;
 use crate::error::Result;
 use crate::fit::direct::fit_direct;
 use crate::fit::holdout::thinned;
 use crate::fit::light;
 use crate::fit::options::FitOptions;
-use crate::fit::progress::{Control, Progress};
+use crate::fit::progress::Control;
 use crate::render::{Target, photo_loss};
 
 /// Pixels along the longer side, and steps, of the fits that compare.
@@ -78,9 +76,8 @@ pub(super) fn contradicting(capture: &Capture, options: &FitOptions, control: &m
 /// How far a fit is from the photos, as a root mean square of gamma 2.2 codes: from all, and from each.
 fn errors(capture: &Capture, options: &FitOptions, control: &mut Control<'_>) -> Result<(f64, Vec<f64>)> {
     control.poll()?;
-    let mut callback = |_: &Progress| ControlFlow::Continue(());
-    let silent = &mut Control::new(&mut callback, options.cancel.clone());
-    let (direct, _) = fit_direct(capture, None, options, &mut Vec::new(), silent)?;
+    let fit = |control: &mut Control<'_>| fit_direct(capture, None, options, &mut Vec::new(), control);
+    let (direct, _) = Control::silently(options.cancel.clone(), fit)?;
     let shots = light::shots(capture, &direct.gains);
     let error = |(photo, shot)| -> Result<f64> {
         let mut target = Target::from_photo(photo)?;

@@ -8,7 +8,6 @@
 //!
 //! Not from the paper.
 
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -22,7 +21,7 @@ use crate::fit::descent::{Descent, Settings, descend};
 use crate::fit::holdout::{REHEARSAL_SIDE, grid, left_out, thinned, thinned_planes};
 use crate::fit::light;
 use crate::fit::options::FitOptions;
-use crate::fit::progress::{CancelToken, Control, Progress, Stage};
+use crate::fit::progress::{CancelToken, Control, Stage};
 use crate::fit::report::StageReport;
 use crate::fit::search::{self, Found, Prior, search};
 use crate::fit::verdict::Expected;
@@ -169,9 +168,8 @@ pub(crate) fn fit_without(
         let rest = thin.select(&rest)?;
         let mut problem = Problem::new(&rest, super::targets(&rest)?, options.seed)?;
         problem.relief.clone_from(&relief);
-        let mut silent = |_: &Progress| ControlFlow::Continue(());
-        let silent = &mut Control::new(&mut silent, options.cancel.clone());
-        let (mut direct, _) = problem.fit_in_rounds(&rest, steps, options.seed, silent)?;
+        let fit = |control: &mut Control<'_>| problem.fit_in_rounds(&rest, steps, options.seed, control);
+        let (mut direct, _) = Control::silently(options.cancel.clone(), fit)?;
         let gain = light::gain_alone(&thin, without, &direct.maps)?;
         direct.gains.insert(without, gain);
         folds.push((without, direct));
@@ -242,8 +240,8 @@ fn predicts_better(relief: &[f32], capture: &Capture, seed: u64, control: &mut C
         for (rest, without) in rests.iter().zip(left_out.clone()) {
             control.poll()?;
             problem.targets.clone_from(rest);
-            let mut silent = |_: &Progress| ControlFlow::Continue(());
-            let (maps, _) = problem.fit(REHEARSAL_STEPS, [0; 2], &mut Control::new(&mut silent, CancelToken::new()))?;
+            let (maps, _) =
+                Control::silently(CancelToken::new(), |control| problem.fit(REHEARSAL_STEPS, [0; 2], control))?;
             error += photo_loss(&maps, problem.patch_size, &all[without..=without], None)?;
         }
         Ok(error)

@@ -66,6 +66,12 @@ impl<'a> Control<'a> {
         Self { callback, token, last }
     }
 
+    /// What `work` does under a control that reports to nobody and stops when `token` is cancelled.
+    pub(crate) fn silently<T>(token: CancelToken, work: impl FnOnce(&mut Control<'_>) -> T) -> T {
+        let mut callback = |_: &Progress| ControlFlow::Continue(());
+        work(&mut Control::new(&mut callback, token))
+    }
+
     /// Reports that `step` of `steps` steps of `stage` are done.
     ///
     /// # Errors

@@ -73,23 +73,26 @@ fn unit<L: Lanes>(a: [L; 3]) -> [L; 3] {
     scale(a, L::splat(1.0) / dot(a, a).sqrt().max(L::splat(L::NORMAL_RANGE[0])))
 }
 
-/// A bundle of what `value` says of `items`, of which there is at least one; where there are fewer than it has elements the last one again.
+/// What `value` says of `items`, of which there is at least one, for the elements of a bundle; where there are fewer the last one again.
 #[inline(always)]
-pub fn bundle<L: Lanes, T>(items: &[T], value: impl Fn(&T) -> f32) -> L {
-    let mut values = [0.0; LANES_MAX];
+fn gather<L: Lanes, T, V: Copy + Default>(items: &[T], value: impl Fn(&T) -> V) -> [V; LANES_MAX] {
+    let mut values = [V::default(); LANES_MAX];
     for (i, out) in values.iter_mut().take(L::LANES).enumerate() {
         *out = value(&items[i.min(items.len() - 1)]);
     }
-    L::load_f32(&values)
+    values
+}
+
+/// A bundle of what `value` says of `items`, of which there is at least one; where there are fewer than it has elements the last one again.
+#[inline(always)]
+pub fn bundle<L: Lanes, T>(items: &[T], value: impl Fn(&T) -> f32) -> L {
+    L::load_f32(&gather::<L, T, f32>(items, value))
 }
 
 /// Likewise which channels are saturated, of bytes with a bit for each.
 #[inline(always)]
 pub fn saturated<L: Lanes, T>(items: &[T], value: impl Fn(&T) -> u8) -> [L::Mask; 3] {
-    let mut bytes = [0; LANES_MAX];
-    for (i, out) in bytes.iter_mut().take(L::LANES).enumerate() {
-        *out = value(&items[i.min(items.len() - 1)]);
-    }
+    let bytes = gather::<L, T, u8>(items, value);
     [L::bits_set(&bytes, 0), L::bits_set(&bytes, 1), L::bits_set(&bytes, 2)]
 }
 

@@ -458,6 +458,20 @@ pub fn jpeg_with(file: &[u8], marker: u8, segment: &[u8]) -> Vec<u8> {
     out
 }
 
+/// EXIF data as a JPEG's segment holds them: a directory with the EXIF one, then `directories`, each entry a tag, its type, how many values, and the value.
+pub fn exif(directories: &[&[(u16, u16, u32, u32)]]) -> Vec<u8> {
+    let mut out = b"Exif\0\0II\x2a\0\x08\0\0\0".to_vec();
+    for entries in [&[&[(0x8769, 4, 1, 26)][..]], directories].concat() {
+        out.extend((entries.len() as u16).to_le_bytes());
+        for (tag, kind, count, value) in entries {
+            out.extend([tag.to_le_bytes(), kind.to_le_bytes()].concat());
+            out.extend([count.to_le_bytes(), value.to_le_bytes()].concat());
+        }
+        out.extend([0; 4]);
+    }
+    out
+}
+
 /// An ICC profile whose only tag is a table: linear values in the primaries of sRGB, with 2 x 2 x 2 entries.
 pub fn table_profile() -> Vec<u8> {
     let mut table = b"mft2\0\0\0\0\x03\x03\x02\0".to_vec();
