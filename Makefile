@@ -98,7 +98,7 @@ wheel: $(MATURIN) ## the Python package as a wheel in dist (PROFILE=dev for a qu
 	$(MATURIN) build $(PACKAGE) --profile $(PROFILE) --strip --out dist
 
 python-test: ## Python package and tools
-	$(VENV)/bin/python -m pytest -q tests/python
+	$(VENV)/bin/python -m pytest -q -n auto --dist worksteal --durations 12 tests/python
 	SVBRDF_GCN_NUMPY=1.26 $(VENV)/numpy1/bin/python -m pytest -q tests/python/test_package.py
 
 mutations: ## 5,000 damaged captures, photos, materials and weights; after python-build (make test has 200 of another seed)
