@@ -3,11 +3,11 @@
 use std::ops::ControlFlow;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use svbrdf_gcn::capture::Shot;
-use svbrdf_gcn::fit::adam::Adam;
-use svbrdf_gcn::fit::adapters::Readout;
-use svbrdf_gcn::fit::progress::{CancelToken, Control, Progress};
+use svbrdf_gcn::Shot;
+use svbrdf_gcn::fit::optim::adam::Adam;
+use svbrdf_gcn::fit::paper::adapters::Readout;
 use svbrdf_gcn::nn::{AdapterParams, Adapters, Decoding};
+use svbrdf_gcn::progress::{CancelToken, Control, Progress};
 use svbrdf_gcn::render::Target;
 use svbrdf_gcn::{Error, Lobe};
 

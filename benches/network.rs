@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use svbrdf_gcn::Lobe;
-use svbrdf_gcn::fit::progress::{CancelToken, Control, Progress};
 use svbrdf_gcn::nn::{Gcn, Model, NetworkConfig};
+use svbrdf_gcn::progress::{CancelToken, Control, Progress};
 
 const SIZE: usize = 256;
 

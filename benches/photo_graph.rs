@@ -4,8 +4,8 @@
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use svbrdf_gcn::fit::progress::{CancelToken, Control, Progress};
 use svbrdf_gcn::nn::{PhotoGraph, PhotoGraphConfig};
+use svbrdf_gcn::progress::{CancelToken, Control, Progress};
 use svbrdf_gcn::{Capture, Image, Photo, Shot, Transfer};
 
 /// Seconds this process has computed, over all threads; none where the system does not tell.

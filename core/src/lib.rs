@@ -8,6 +8,7 @@ mod cholesky;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod color;
+mod deviations;
 pub mod error;
 pub mod export;
 pub mod fit;
@@ -19,20 +20,27 @@ pub mod memory;
 pub mod metrics;
 pub mod nn;
 mod pool;
+pub mod preview;
+pub mod progress;
+mod raw;
 pub mod render;
+mod shot;
 #[cfg(feature = "train")]
 pub mod train;
 pub mod unit;
 
 pub use cancel::CancelToken;
-pub use capture::{Capture, CaptureOptions, Photo, PhotoPixels, Shot};
+pub use capture::{Capture, CaptureOptions, Photo, PhotoPixels};
 pub use color::{ColorSpace, Transfer};
+pub use deviations::Deviations;
 pub use error::{Error, Result};
 pub use export::{ExportOptions, ExportReport, ExportTarget, NormalConvention};
 pub use fit::options::{FitOptions, Method, Preset};
-pub use fit::progress::Progress;
-pub use fit::{Deviations, Fit, fit_material};
+
+pub use fit::{Fit, fit_material};
 pub use image::Image;
 pub use maps::{Lobe, Maps};
 pub use material::Material;
+pub use progress::Progress;
+pub use shot::Shot;
 pub use unit::Unit;

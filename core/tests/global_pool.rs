@@ -6,9 +6,9 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use svbrdf_gcn::io::material::SaveOptions;
-use svbrdf_gcn::io::preview::material_png;
 use svbrdf_gcn::metrics::photo_rmse;
-use svbrdf_gcn::render::{Target, photo_loss, render};
+use svbrdf_gcn::preview::material_png;
+use svbrdf_gcn::render::{photo_loss, render};
 use svbrdf_gcn::{
     Capture, CaptureOptions, ExportOptions, ExportTarget, FitOptions, Material, Method, Preset, fit_material,
 };
@@ -33,6 +33,6 @@ fn nothing_touches_it() {
     let photo =
         &Capture::open_with(samples.join("lambert"), &CaptureOptions::new().size(8)).unwrap().photos()[0].clone();
     photo_rmse(&render(&material, &photo.shot).unwrap(), &photo.image).unwrap();
-    photo_loss(&material.to_maps().unwrap(), 1.0, &[Target::from_photo(photo).unwrap()], None).unwrap();
+    photo_loss(&material.to_maps().unwrap(), 1.0, &[photo.target().unwrap()], None).unwrap();
     assert!(rayon::ThreadPoolBuilder::new().num_threads(1).build_global().is_ok());
 }

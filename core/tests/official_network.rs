@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use common::{Expected, fixture, relative_l2, shared};
-use svbrdf_gcn::fit::adapters::{Readout, fit_adapters};
-use svbrdf_gcn::fit::latent::fit_latent;
-use svbrdf_gcn::fit::progress::{CancelToken, Control, Progress};
+use svbrdf_gcn::fit::paper::adapters::{Readout, fit_adapters};
+use svbrdf_gcn::fit::paper::latent::fit_latent;
 use svbrdf_gcn::nn::{AdapterParams, Adapters, Code, Decoding, Model, Network};
+use svbrdf_gcn::progress::{CancelToken, Control, Progress};
 use svbrdf_gcn::render::{Target, render_maps};
 use svbrdf_gcn::{Lobe, Shot};
 

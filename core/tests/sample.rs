@@ -4,8 +4,9 @@
 
 use std::path::PathBuf;
 
+use svbrdf_gcn::capture::render_photo;
 use svbrdf_gcn::metrics::photo_rmse;
-use svbrdf_gcn::render::{render, render_photo};
+use svbrdf_gcn::render::render;
 use svbrdf_gcn::{Capture, CaptureOptions, Material, Unit};
 
 fn sample(name: &str) -> PathBuf {

@@ -3,10 +3,11 @@
 use std::ffi::{CString, c_char};
 
 use serde_json::Value;
+use svbrdf_gcn::capture::render_photo;
 use svbrdf_gcn::io::material::{read_deviations, read_report};
 use svbrdf_gcn::metrics::photo_rmse;
 use svbrdf_gcn::nn::Model;
-use svbrdf_gcn::render::{render, render_photo};
+use svbrdf_gcn::render::render;
 use svbrdf_gcn::{Deviations, Fit, Image, Material, fit_material};
 
 use crate::capture::svbrdf_gcn_capture;

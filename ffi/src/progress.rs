@@ -3,7 +3,7 @@
 use std::ffi::c_void;
 use std::ops::ControlFlow;
 
-use svbrdf_gcn::fit::progress::Stage;
+use svbrdf_gcn::progress::Stage;
 use svbrdf_gcn::{CancelToken, Progress};
 
 use crate::guard::{borrow, guard, guard_value};

@@ -12,8 +12,8 @@ use svbrdf_gcn::image::Image;
 use svbrdf_gcn::io::material::{
     LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, read_deviations, read_report,
 };
-use svbrdf_gcn::io::preview::material_png;
 use svbrdf_gcn::metrics::MapErrors;
+use svbrdf_gcn::preview::material_png;
 use svbrdf_gcn::{
     Deviations, ExportOptions, ExportTarget, Material, NormalConvention, Photo, Shot, Unit, metrics, render,
 };
@@ -602,7 +602,7 @@ pub fn photo_errors<'py>(
     let (material, capture) = (material.take("material")?, capture.take("capture")?);
     let (material, capture) = (&material.get().material, &capture.get().0);
     let error = |(index, photo): (usize, &Photo)| {
-        metrics::photo_rmse(&render::render_photo(material, capture, index)?, &photo.image)
+        metrics::photo_rmse(&svbrdf_gcn::capture::render_photo(material, capture, index)?, &photo.image)
     };
     detached(py, || capture.photos().iter().enumerate().map(error).collect())
 }

@@ -24,11 +24,12 @@ pub(crate) use save::check_folder;
 pub use sheet::{Sheet, Tag};
 
 use crate::cancel::CancelToken;
-use crate::capture::{Capture, MAX_PHOTOS, Photo, Shot};
+use crate::capture::{Capture, MAX_PHOTOS, Photo};
 use crate::color::Transfer;
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::io::{CameraData, Stored, demand, read_stored};
+use crate::shot::Shot;
 use crate::unit::Unit;
 use crate::{memory, pool};
 

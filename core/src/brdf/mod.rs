@@ -26,8 +26,8 @@ pub mod masking;
 pub mod ndf;
 pub mod real;
 
-use crate::capture::Shot;
 use crate::maps::Lobe;
+use crate::shot::Shot;
 use fresnel::fresnel_spherical_gaussian_weight;
 use masking::{masking_g1_smith_anisotropic, visibility_schlick};
 use ndf::{ndf_ggx, ndf_ggx_anisotropic};

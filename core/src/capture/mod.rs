@@ -5,6 +5,7 @@
 //! `y = -((i + 0.5) / H - 0.5) * patch_size * H / W`. Positions and `patch_size` (the width) share one length unit.
 
 mod assumed;
+mod evaluation;
 mod layout;
 
 use std::path::{Path, PathBuf};
@@ -19,55 +20,17 @@ use crate::io::describe::is_image;
 use crate::io::profile::{Decoding, FileColors, Stated};
 use crate::io::resize::{fit_size, shrink};
 use crate::io::{Demand, Pixels, RowReader, Samples, demand, read_stored};
+use crate::render::{Target, encode_radiance};
+use crate::shot::Shot;
 use crate::unit::Unit;
 use crate::{memory, pool};
 
 pub use assumed::Assumed;
+pub use evaluation::render_photo;
 use layout::{Entry, Layout};
 
 /// The most photos of a capture: no walk around a sample takes as many.
 pub const MAX_PHOTOS: usize = 4096;
-
-/// Where camera and light stood for one photo, and how bright the light was.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shot {
-    /// Camera position, in the capture's unit.
-    pub camera: [f64; 3],
-    /// Position of the point light; equal to `camera` for a flash beside the lens.
-    pub light: [f64; 3],
-    /// RGB intensity: photo units times length squared, so that a surface at distance r receives `light_intensity / r^2`.
-    pub light_intensity: [f64; 3],
-}
-
-impl Shot {
-    /// What cannot be a position of camera or light in front of the sample: the field, and why.
-    pub(crate) fn misplaced(&self) -> Option<(&'static str, String)> {
-        [("camera", self.camera), ("light", self.light)].into_iter().find_map(|(field, position)| {
-            if !position.iter().all(|v| v.is_finite()) {
-                return Some((field, format!("{position:?} is not finite")));
-            }
-            let behind = format!("{position:?} lies behind the sample: z must be above 0, got {}", position[2]);
-            (position[2] <= 0.0).then_some((field, behind))
-        })
-    }
-
-    /// # Errors
-    /// [`Error::InvalidArgument`] naming `photo` and the field, for a position that is not finite or not in front of the sample, or
-    /// an intensity that is negative, zero in all channels, or not finite.
-    fn check(&self, photo: &str) -> Result<()> {
-        if let Some((field, reason)) = self.misplaced() {
-            return Err(Error::invalid(photo, format!("{field} {reason}")));
-        }
-        let intensity = self.light_intensity;
-        if !intensity.iter().all(|v| v.is_finite() && *v >= 0.0) || intensity == [0.0; 3] {
-            return Err(Error::invalid(
-                photo,
-                format!("light_intensity must be finite, not negative and not all 0, got {intensity:?}"),
-            ));
-        }
-        Ok(())
-    }
-}
 
 /// One photo.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,6 +43,22 @@ pub struct Photo {
     pub image: Image,
     /// One byte per pixel; bit c is set where channel c stands at the encoding's upper end and only says "at least this bright".
     pub saturated: Vec<u8>,
+}
+
+impl Photo {
+    /// The photo as the loss compares with it.
+    ///
+    /// # Errors
+    /// As [`Target::new`]; [`Error::ShapeMismatch`] if the photo has not three channels.
+    pub fn target(&self) -> Result<Target> {
+        let image = &self.image;
+        if image.channels() != 3 {
+            return Err(Error::shape(self.name.as_str(), "3 channels", format!("{}", image.channels())));
+        }
+        let mut encoded = image.to_planar()?;
+        encoded.iter_mut().for_each(|value| *value = encode_radiance(*value));
+        Target::new(image.width(), image.height(), self.shot, &encoded, &self.saturated)
+    }
 }
 
 /// Pixels of one photo in a host's memory, for [`Capture::from_photos`].

@@ -8,8 +8,8 @@ use serde_json::json;
 use super::{Budget, Millimetres, complain, say, say_json};
 use crate::acquire::{AcquireOptions, Report, Sheet, acquire, check_folder};
 use crate::cancel::CancelToken;
-use crate::capture::Shot;
 use crate::error::{Error, Result, printable};
+use crate::shot::Shot;
 
 /// How raw photos are read; the same wherever they are.
 #[derive(Args)]

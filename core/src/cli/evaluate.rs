@@ -7,9 +7,10 @@ use serde::Serialize;
 
 use super::{CaptureArgs, load_material, say, say_json};
 use crate::cancel::CancelToken;
+use crate::capture::render_photo;
 use crate::error::{Error, Result, printable};
 use crate::metrics::{MapErrors, photo_rmse, photo_rmse_smooth_gain};
-use crate::render::{render_photo, rendering_memory};
+use crate::render::rendering_memory;
 
 #[derive(Args)]
 pub struct EvaluateArgs {

@@ -16,12 +16,12 @@ use crate::capture::{Capture, photo_files};
 use crate::color::ColorSpace;
 use crate::error::{Error, Result, printable};
 use crate::fit::options::{FitOptions, Method, Preset};
-use crate::fit::progress::Progress;
 use crate::fit::report::FitReport;
 use crate::fit::verdict::Verdict;
 use crate::fit::{Fit, fit_material};
 use crate::io::material::{self, MaterialFormat, PREVIEW_PNG, SaveOptions, file_names};
 use crate::nn::Model;
+use crate::progress::Progress;
 
 /// The folder beside the maps for the capture that several photos become.
 const CAPTURE: &str = "capture";

@@ -1,12 +1,13 @@
 //! The picture beside the maps.
 
 use crate::cancel::CancelToken;
-use crate::capture::{Capture, Photo, Shot};
+use crate::capture::{Capture, Photo};
 use crate::error::Result;
 use crate::image::Image;
-use crate::io::preview::{self, Comparison, new_view};
 use crate::material::Material;
+use crate::preview::{self, Comparison, new_view};
 use crate::render::render;
+use crate::shot::Shot;
 
 /// Photos shown beside their re-renderings.
 const COMPARED: usize = 2;

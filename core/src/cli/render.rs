@@ -7,11 +7,11 @@ use clap::Args;
 use super::outputs::keep_maps_and_photos;
 use super::{Budget, ColorSpaceArg, TransferArg, Triple, complain, load_material};
 use crate::cancel::CancelToken;
-use crate::capture::Shot;
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::io::write_image_in;
 use crate::render::{render, rendering_memory};
+use crate::shot::Shot;
 
 #[derive(Args)]
 pub struct RenderArgs {

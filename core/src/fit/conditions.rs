@@ -2,12 +2,13 @@
 
 use std::borrow::Cow;
 
-use crate::capture::{Capture, Photo, Shot};
+use crate::capture::{Capture, Photo};
+use crate::deviations::Deviations;
 use crate::error::Result;
-use crate::fit::deviations::Deviations;
 use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Maps};
 use crate::memory::collected;
+use crate::shot::Shot;
 
 /// Radiance of a white matt surface within this factor of 1 is as photos have it; the fit's constants are made for that.
 const USUAL: f64 = 4.0;
@@ -127,11 +128,12 @@ mod tests {
     use std::borrow::Cow;
 
     use super::{UNKNOWN, at_limit, fill_unlit, usual_exposure, warnings, white};
-    use crate::capture::{Capture, Photo, Shot};
+    use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
-    use crate::fit::deviations::Deviations;
+    use crate::deviations::Deviations;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
+    use crate::shot::Shot;
 
     fn photo(name: &str, intensity: [f64; 3], values: [f32; 4]) -> Photo {
         let shot = Shot { camera: [0.0, 0.0, 2.0], light: [0.0, 0.0, 2.0], light_intensity: intensity };

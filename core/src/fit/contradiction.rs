@@ -5,14 +5,15 @@
 //!
 //! Not from the paper.
 
-use crate::capture::Capture;
+use crate::capture::{Capture, Photo};
 use crate::error::Result;
 use crate::fit::direct::fit_direct;
-use crate::fit::holdout::thinned;
-use crate::fit::light;
+use crate::fit::direct::light;
+use crate::fit::optim::holdout::thinned;
 use crate::fit::options::FitOptions;
-use crate::fit::progress::Control;
-use crate::render::{Target, photo_loss};
+use crate::progress::Control;
+use crate::render::photo_loss;
+use crate::shot::Shot;
 
 /// Pixels along the longer side, and steps, of the fits that compare.
 const SIDE: usize = 32;
@@ -79,8 +80,8 @@ fn errors(capture: &Capture, options: &FitOptions, control: &mut Control<'_>) ->
     let fit = |control: &mut Control<'_>| fit_direct(capture, None, options, &mut Vec::new(), control);
     let (direct, _) = Control::silently(options.cancel.clone(), fit)?;
     let shots = light::shots(capture, &direct.gains);
-    let error = |(photo, shot)| -> Result<f64> {
-        let mut target = Target::from_photo(photo)?;
+    let error = |(photo, shot): (&Photo, Shot)| -> Result<f64> {
+        let mut target = photo.target()?;
         target.set_shot(shot);
         Ok((photo_loss(&direct.maps, capture.patch_size(), &[target], None)? / 1000.0).sqrt())
     };
@@ -95,13 +96,14 @@ mod tests {
 
     use super::contradicting;
     use crate::cancel::CancelToken;
-    use crate::capture::{Capture, Photo, Shot};
+    use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::fit::options::FitOptions;
-    use crate::fit::progress::{Control, Progress};
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
+    use crate::progress::{Control, Progress};
     use crate::render::render_maps;
+    use crate::shot::Shot;
 
     const SIDE: usize = 16;
     const PIXELS: usize = SIDE * SIDE;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::fit::progress::CancelToken;
+use crate::progress::{CancelToken, Stage};
 
 /// The most steps a stage takes: days, even on small photos.
 pub const MAX_STEPS: usize = 10_000_000;
@@ -117,6 +117,17 @@ impl FitOptions {
                 Err(Error::invalid(name, format!("expected at most {MAX_STEPS}, got {steps}")))
             }
             _ => Ok(()),
+        }
+    }
+
+    /// Steps of a stage, at most.
+    pub(crate) fn steps(&self, stage: Stage) -> usize {
+        match stage {
+            Stage::Encode => 1,
+            Stage::Latent => self.latent_steps.unwrap_or(self.preset.latent_steps()),
+            Stage::Adapters => self.adapter_steps.unwrap_or(self.preset.adapter_steps()),
+            Stage::Direct => self.direct_steps.unwrap_or(self.preset.direct_steps()),
+            Stage::Finish => self.finish_steps.unwrap_or(self.preset.finish_steps()),
         }
     }
 

@@ -2,12 +2,22 @@
 
 use serde::Serialize;
 
-use crate::capture::Assumed;
+use std::time::Instant;
+
+use crate::capture::{Assumed, Capture, Photo};
 use crate::color::Transfer;
-use crate::fit::descent::Descent;
+use crate::error::Result;
+use crate::fit::conditions;
+use crate::fit::optim::descent::Descent;
+use crate::fit::options::FitOptions;
 use crate::fit::options::{Method, Preset};
-use crate::fit::progress::Stage;
-use crate::fit::verdict::Verdict;
+use crate::fit::plan::Selection;
+use crate::fit::run::State;
+use crate::fit::verdict::{self, Evidence, Verdict};
+use crate::material::Material;
+use crate::metrics::photo_rmse;
+use crate::progress::Stage;
+use crate::render::render;
 
 /// What one stage did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -86,4 +96,67 @@ pub struct FitReport {
     pub seconds: f64,
     /// What the user should know, the capture's own warnings first.
     pub warnings: Vec<String>,
+}
+
+impl FitReport {
+    /// What is to be said of `material`, the maps of `state`, beside the photos of `capture`.
+    pub(super) fn new(
+        capture: &Capture,
+        selection: &Selection<'_>,
+        state: State,
+        material: &Material,
+        memory_estimate: u64,
+        options: &FitOptions,
+        started: Instant,
+    ) -> Result<Self> {
+        let Selection { contradicting, kept, route } = selection;
+        let State { maps, gains, weighting, expected, stages, .. } = state;
+        let (mut photo_errors, mut shifts) = (Vec::new(), Vec::new());
+        for photo in capture.photos() {
+            let rendering = render(material, &photo.shot)?;
+            photo_errors.push(photo_rmse(&rendering, &photo.image)?);
+            shifts.push(verdict::shift(photo, &rendering));
+        }
+        let verdict = verdict::verdict(&Evidence {
+            capture,
+            contradicting,
+            kept,
+            expected,
+            gains: gains.as_deref(),
+            photo_deviation: weighting.map(|weighting| weighting.photo),
+            at_limit: conditions::at_limit(&maps),
+            shifts: &shifts,
+        });
+        let mut warnings = [capture.warnings(), &conditions::warnings(capture)].concat();
+        warnings.extend(verdict.warnings());
+        for stage in stages.iter().filter(|stage| stage.rollbacks > 0) {
+            let (name, count) = (stage.stage.name(), stage.rollbacks);
+            warnings.push(format!("{name}: {count} steps led to values that are not finite and were undone"));
+        }
+        let name = |photo: &Photo| photo.name.clone();
+        let left_out = (0..capture.len()).filter(|photo| !kept.contains(photo));
+        Ok(Self {
+            method: route.method(),
+            preset: options.preset,
+            seed: options.seed,
+            threads: rayon::current_num_threads(),
+            photos: capture.photos().iter().map(name).collect(),
+            photos_left_out: left_out.map(|photo| name(&capture.photos()[photo])).collect(),
+            transfer: capture.transfer(),
+            assumed: capture.assumed().copied(),
+            stages,
+            photo_errors,
+            light_gains: gains.map(|gains| {
+                let mut all = vec![1.0; capture.len()];
+                kept.iter().zip(gains).for_each(|(&photo, gain)| all[photo] = gain);
+                all
+            }),
+            photo_deviation: weighting.map(|weighting| weighting.photo),
+            believed_shares: weighting.map(|weighting| [weighting.normal, weighting.specular]),
+            verdict,
+            memory_estimate,
+            seconds: started.elapsed().as_secs_f64(),
+            warnings,
+        })
+    }
 }

@@ -1,21 +1,16 @@
 //! One pixel in one photo: the encoded value that a renderer of the shading model gives, and its derivatives by the nine raw values.
 //!
 //! The model is that of [`crate::brdf`], isotropic, in the form that a pixel-by-pixel solver wants: everything that does not depend on
-//! the material stands in [`Sight`], and derivatives come out as rows of a Jacobian instead of as the gradient of a loss. It is written for
+//! the material stands in [`Geometry`], and derivatives come out as rows of a Jacobian instead of as the gradient of a loss. It is written for
 //! [`Lanes`]: several pixels at a time. What touches a bundle is a loop or an inlined function, never a closure: those would be compiled for any processor.
 
 #![allow(clippy::needless_range_loop, reason = "closures would not be compiled for the processor's lanes")]
 
 use crate::brdf::real::{LANES_MAX, Lanes, Real, cross, dot, scale};
-use crate::capture::{Capture, Shot};
+use crate::capture::Capture;
+use crate::raw::{NORMAL, RAW, ROUGHNESS, SPECULAR};
 use crate::render::encode;
-
-/// Raw values of a pixel, in the order of the network's outputs: diffuse 3, normal x and y, roughness, specular 3.
-pub const RAW: usize = 9;
-/// Places of the raw values.
-pub const NORMAL: usize = 3;
-pub const ROUGHNESS: usize = 5;
-pub const SPECULAR: usize = 6;
+use crate::shot::Shot;
 
 /// Exponent of the codes of albedos and roughness.
 const GAMMA: f64 = 2.2;
@@ -25,7 +20,7 @@ const INVERSE_PI: f64 = std::f64::consts::FRAC_1_PI;
 
 /// What a pixel's position and a photo's camera and light make of the shading model.
 #[derive(Clone, Copy, Debug)]
-pub struct Sight<L> {
+pub struct Geometry<L> {
     view: [L; 3],
     light: [L; 3],
     half: [L; 3],
@@ -34,7 +29,7 @@ pub struct Sight<L> {
     fresnel: L,
 }
 
-/// A pixel's material: raw values decoded, and the slopes of the decoding.
+/// A pixel's material: raw values decoded, and the derivatives of the decoding.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface<L> {
     diffuse: [L; 3],
@@ -47,7 +42,7 @@ pub struct Surface<L> {
     d_alpha: L,
 }
 
-/// See [`Sight::parts`].
+/// See [`Geometry::parts`].
 #[derive(Clone, Copy, Debug)]
 pub struct Parts<L> {
     pub diffuse: [L; 3],
@@ -57,9 +52,9 @@ pub struct Parts<L> {
 
 /// An encoded colour and the derivatives of each channel by that channel's diffuse value, normal x and y, roughness, specular value.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen<L> {
+pub struct CodeJacobian<L> {
     pub code: [L; 3],
-    pub slopes: [[L; 5]; 3],
+    pub jacobian: [[L; 5]; 3],
 }
 
 /// From (x, y, 0) to `place`, whose coordinates are divided by `length`.
@@ -109,7 +104,7 @@ pub fn unbundle<L: Lanes<Scalar = R>, R: Real, const N: usize>(
     (0..count).map(move |lane| std::array::from_fn(|i| values[i][lane].to_f64() as f32))
 }
 
-impl<L: Lanes> Sight<L> {
+impl<L: Lanes> Geometry<L> {
     /// Pixels of `capture`, as `pixel` says which, in a photo taken as `shot` says.
     #[inline(always)]
     pub fn of_pixels<T>(capture: &Capture, shot: &Shot, items: &[T], pixel: impl Fn(&T) -> usize) -> Self {
@@ -154,7 +149,7 @@ impl<L: Lanes> Sight<L> {
 
     /// What the photo shows of `surface`.
     #[inline(always)]
-    pub fn look(&self, surface: &Surface<L>) -> Seen<L> {
+    pub fn observe(&self, surface: &Surface<L>) -> CodeJacobian<L> {
         let (zero, one, two, four) = (L::splat(0.0), L::splat(1.0), L::splat(2.0), L::splat(4.0));
         let Surface { normal, alpha, .. } = *surface;
         let (n_dot_l, n_dot_v) = (dot(normal, self.light), dot(normal, self.view));
@@ -183,7 +178,7 @@ impl<L: Lanes> Sight<L> {
                 - L::splat(0.5) * ((one - n_dot_v) / a + (one - n_dot_l) / b));
 
         let matt_part = n_dot_l * L::splat(INVERSE_PI);
-        let mut seen = Seen { code: [zero; 3], slopes: [[zero; 5]; 3] };
+        let mut seen = CodeJacobian { code: [zero; 3], jacobian: [[zero; 5]; 3] };
         for c in 0..3 {
             let (d, s, e) = (surface.diffuse[c], surface.specular[c], self.irradiance[c]);
             let matt = d * (one - s) * L::splat(INVERSE_PI);
@@ -191,7 +186,7 @@ impl<L: Lanes> Sight<L> {
             let (code, slope) = encode((matt * n_dot_l + reflectance * lobe) * e);
             let slope = slope * e;
             seen.code[c] = L::select(facing, code, zero);
-            let slopes = [
+            let derivatives = [
                 slope * (one - s) * matt_part * surface.d_diffuse[c],
                 slope * (matt * d_l[0] + reflectance * d_normal[0]),
                 slope * (matt * d_l[1] + reflectance * d_normal[1]),
@@ -199,7 +194,7 @@ impl<L: Lanes> Sight<L> {
                 slope * ((one - self.fresnel) * lobe - d * matt_part) * surface.d_specular[c],
             ];
             for i in 0..5 {
-                seen.slopes[c][i] = L::select(facing, slopes[i], zero);
+                seen.jacobian[c][i] = L::select(facing, derivatives[i], zero);
             }
         }
         seen
@@ -259,11 +254,11 @@ impl<L: Lanes> Surface<L> {
 
 #[cfg(test)]
 mod tests {
-    use super::{RAW, Sight, Surface};
-    use crate::capture::Shot;
+    use super::{Geometry, RAW, Surface};
     use crate::maps::{Lobe, Maps};
     use crate::nn::Decoding;
     use crate::render::{encode_radiance, render_maps};
+    use crate::shot::Shot;
 
     fn shots() -> [Shot; 3] {
         let intensity = [20.0, 18.0, 22.0];
@@ -290,7 +285,7 @@ mod tests {
             Decoding::new(Lobe::Isotropic).decode(&raw, &mut maps).unwrap();
             for shot in shots() {
                 let expected = render_maps(&maps, 2.0, &shot).unwrap();
-                let seen = Sight::<f64>::new(&shot, 1.0, [0.0, 0.0]).look(&Surface::new(&raw));
+                let seen = Geometry::<f64>::new(&shot, 1.0, [0.0, 0.0]).observe(&Surface::new(&raw));
                 for c in 0..3 {
                     let expected: f64 = encode_radiance(expected[c]);
                     assert!((seen.code[c] - expected).abs() < 1e-6 * (1.0 + expected), "{raw:?} {shot:?}");
@@ -305,9 +300,9 @@ mod tests {
         for _ in 0..50 {
             let surface = Surface::new(&random(&mut rng));
             for shot in shots() {
-                let sight = Sight::<f64>::new(&shot, 1.0, [0.3, -0.4]);
-                let parts = sight.parts(surface.normal, surface.alpha);
-                for (c, code) in sight.look(&surface).code.into_iter().enumerate() {
+                let geometry = Geometry::<f64>::new(&shot, 1.0, [0.3, -0.4]);
+                let parts = geometry.parts(surface.normal, surface.alpha);
+                for (c, code) in geometry.observe(&surface).code.into_iter().enumerate() {
                     let (d, s) = (surface.diffuse[c], surface.specular[c]);
                     let sum = parts.diffuse[c] * d * (1.0 - s) + parts.specular[c] * (s + (1.0 - s) * parts.fresnel);
                     // Above the encoding's toe.
@@ -319,19 +314,19 @@ mod tests {
     }
 
     #[test]
-    fn slopes_are_those_of_finite_differences() {
+    fn the_jacobian_is_that_of_finite_differences() {
         let mut rng = fastrand::Rng::with_seed(6);
         let step = 1e-6;
         for _ in 0..50 {
             let raw = random(&mut rng);
             for shot in shots() {
-                let sight = Sight::<f64>::new(&shot, 1.0, [0.3, -0.4]);
-                let seen = sight.look(&Surface::new(&raw));
+                let geometry = Geometry::<f64>::new(&shot, 1.0, [0.3, -0.4]);
+                let seen = geometry.observe(&Surface::new(&raw));
                 for i in 0..RAW {
                     let at = |by: f64| {
                         let mut moved = raw;
                         moved[i] += by;
-                        sight.look(&Surface::new(&moved)).code
+                        geometry.observe(&Surface::new(&moved)).code
                     };
                     let (above, below) = (at(step), at(-step));
                     for c in 0..3 {
@@ -341,7 +336,7 @@ mod tests {
                             _ if i % 3 == c => Some(if i < 3 { 0 } else { 4 }),
                             _ => None,
                         };
-                        let got = column.map_or(0.0, |column| seen.slopes[c][column]);
+                        let got = column.map_or(0.0, |column| seen.jacobian[c][column]);
                         assert!((got - expected).abs() < 1e-5 * (1.0 + expected.abs()), "{i} {c}: {got} {expected}");
                     }
                 }

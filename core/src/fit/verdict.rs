@@ -4,10 +4,11 @@
 
 use serde::Serialize;
 
-use crate::capture::{Capture, Photo, Shot};
-use crate::fit::light;
+use crate::capture::{Capture, Photo};
+use crate::fit::direct::light;
 use crate::image::Image;
 use crate::render::encode_radiance;
+use crate::shot::Shot;
 
 /// Expected error of a new photo up to which maps are good, and above which they are poor.
 const GOOD: f64 = 0.04;
@@ -330,9 +331,10 @@ fn shift_between(seen: &[f64], rendered: &[f64], width: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::{Evidence, Expected, Grade, SHIFT, Verdict, shift, verdict};
-    use crate::capture::{Capture, Photo, Shot};
+    use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::image::Image;
+    use crate::shot::Shot;
 
     const SIDE: usize = 24;
 

@@ -1,4 +1,4 @@
-//! Files: photos and renderings in and out, material folders, previews.
+//! Files: photos and renderings in and out, material folders.
 //!
 //! Images are recognised by their first bytes, not by their names. What is read: PNG 8 and 16 bit, JPEG, TIFF 8 and 16 bit and
 //! half, single and double float, OpenEXR half and float. Orientation tags (EXIF, TIFF) are applied, so that row 0 is the row a
@@ -11,11 +11,9 @@ mod encode;
 mod exif;
 mod exr;
 pub(crate) mod file;
-mod font;
 mod jpeg;
 pub mod material;
 pub(crate) mod ours;
-pub mod preview;
 pub(crate) mod profile;
 pub(crate) mod resize;
 pub(crate) mod save;

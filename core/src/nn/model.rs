@@ -14,10 +14,10 @@ use super::photo_graph::{PhotoGraph, PhotoGraphConfig};
 use super::tape::{Param, Planes, Pool};
 use super::weights::{self, CHECKSUMS, Reader, broken};
 use crate::error::{Error, Result};
-use crate::fit::progress::Control;
 use crate::io::file;
 use crate::io::save::Temporary;
 use crate::maps::Lobe;
+use crate::progress::Control;
 
 /// The default network's weights file.
 const EMBEDDED: &[u8] = include_bytes!("../../weights/default.safetensors");
@@ -620,9 +620,9 @@ mod tests {
     use super::testing::{edited, reason};
     use super::{Model, NetworkConfig};
     use crate::error::Error;
-    use crate::fit::progress::{CancelToken, Control, Progress};
     use crate::maps::Lobe;
     use crate::nn::config::Gcn;
+    use crate::progress::{CancelToken, Control, Progress};
 
     fn small(photos: usize, gcn: Gcn) -> NetworkConfig {
         NetworkConfig {

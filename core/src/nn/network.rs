@@ -10,7 +10,7 @@ use super::ops::{Graph, conv3x3, graph_convolution, pixel_shuffle, pixel_unshuff
 use super::scalar::Scalar;
 use super::tape::{End, Param, Planes, Slot};
 use crate::error::Result;
-use crate::fit::progress::Control;
+use crate::progress::Control;
 
 /// What gives a network's parameters by name.
 pub(crate) type Source<'a, E> = dyn FnMut(&str) -> Result<Param<E>> + 'a;
@@ -216,13 +216,13 @@ mod tests {
     use std::ops::ControlFlow;
 
     use super::{Decoder, Encoder};
-    use crate::fit::progress::{CancelToken, Control, Progress};
     use crate::maps::Lobe;
     use crate::nn::config::{Gcn, NetworkConfig};
     use crate::nn::kernels::dot;
     use crate::nn::layout::Layout;
     use crate::nn::ops::testing::{check, compare, numbers};
     use crate::nn::tape::{Param, Planes};
+    use crate::progress::{CancelToken, Control, Progress};
 
     fn small(photos: usize, gcn: Gcn) -> NetworkConfig {
         NetworkConfig {

@@ -5,9 +5,9 @@ use rayon::prelude::*;
 use super::{Grid, TILE, Tile, View, padded, planes, split_planes};
 use crate::brdf::real::{Arithmetic, Kernel, Lanes, Real, Wide};
 use crate::brdf::{Frame, FrameGradient};
-use crate::capture::{Photo, Shot};
 use crate::error::{Error, Result};
 use crate::maps::{Lobe, Maps};
+use crate::shot::Shot;
 use crate::{memory, pool};
 
 /// Radiance below which [`encode_radiance`] leaves the power law: less than half of what the first code of an 8-bit file stands for.
@@ -82,20 +82,6 @@ impl Target {
             row[..width].copy_from_slice(source);
         }
         Ok(Self { width, height, shot, encoded: rows, saturated: flags })
-    }
-
-    /// A target from a photo in linear RGB.
-    ///
-    /// # Errors
-    /// As [`Target::new`]; [`Error::ShapeMismatch`] if the photo has not three channels.
-    pub fn from_photo(photo: &Photo) -> Result<Self> {
-        let image = &photo.image;
-        if image.channels() != 3 {
-            return Err(Error::shape(photo.name.as_str(), "3 channels", format!("{}", image.channels())));
-        }
-        let mut encoded = image.to_planar()?;
-        encoded.iter_mut().for_each(|value| *value = encode_radiance(*value));
-        Self::new(image.width(), image.height(), photo.shot, &encoded, &photo.saturated)
     }
 
     /// Bytes of a target of this size.

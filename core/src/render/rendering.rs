@@ -5,9 +5,9 @@ use std::f64::consts::LN_2;
 use super::loss::{Comparison, Job, compared};
 use super::{Grid, TOE, View, padded, render_maps};
 use crate::brdf::real::{Kernel, Lanes, Real};
-use crate::capture::Shot;
 use crate::error::{Error, Result};
 use crate::maps::Maps;
+use crate::shot::Shot;
 
 const GAMMA: f64 = 2.2;
 

@@ -60,7 +60,7 @@ fn tape_error(error: CpuError) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::Shot;
+    use crate::shot::Shot;
 
     fn photo(width: usize, height: usize) -> Target {
         let shot = Shot { camera: [0.2, 0.1, 2.0], light: [0.0, -0.3, 1.8], light_intensity: [9.0; 3] };

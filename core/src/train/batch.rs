@@ -1,6 +1,6 @@
 //! What one step of training sees.
 
-use crate::capture::Shot;
+use crate::shot::Shot;
 
 /// A capture of one material, and what it should give.
 pub(crate) struct Example {

@@ -15,9 +15,9 @@ use super::data::library::Library;
 use super::trainer::Trainer;
 use super::validate::{Validation, held_out, validate, work};
 use crate::error::{Error, Result};
-use crate::fit::progress::{CancelToken, Control};
 use crate::maps::Maps;
 use crate::nn::Model;
+use crate::progress::{CancelToken, Control};
 
 /// How a run of a training ends, and what its weights say of themselves.
 #[derive(Clone, Debug)]

@@ -8,8 +8,8 @@ use super::batch::{Batch, Example};
 use super::config::{LossSettings, OptimiserSettings};
 use super::optimiser;
 use super::trainer::{Measured, Trainer};
-use crate::capture::Shot;
 use crate::nn::{PhotoGraphConfig, Scalar};
+use crate::shot::Shot;
 
 fn folder() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/training")

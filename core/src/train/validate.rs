@@ -9,14 +9,15 @@ use serde::Serialize;
 use super::config::ValidationSettings;
 use super::data::camera::{Captured, Family, Habits, clean_photos, draw_geometry, photograph};
 use super::data::{Crop, Dice, Purpose, Texture};
-use crate::capture::{Capture, Photo, Shot};
+use crate::capture::{Capture, Photo};
 use crate::color::Transfer;
 use crate::error::Result;
-use crate::fit::progress::Control;
 use crate::image::Image;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 use crate::nn::{PhotoGraph, Prediction};
+use crate::progress::Control;
 use crate::render::render_maps;
+use crate::shot::Shot;
 
 const SEED: u64 = 20_240_101;
 /// Width of the patch in the unit of positions.

@@ -1,26 +1,30 @@
 //! The finish: with maps and the network's certainty as a Gaussian prior, every pixel is fitted to the photos.
 //!
 //! Per pixel nine raw values are found by Levenberg-Marquardt with the exact Jacobian ([`pixel`]). How much the photos count against
-//! the prior is chosen by leaving photos out and predicting them, from maps that have not seen them ([`trust`]).
+//! the prior is chosen by leaving photos out and predicting them, from maps that have not seen them ([`weighting`]).
 //!
 //! Not from the paper.
 
 mod pixel;
-mod trust;
+mod rehearsal;
+mod weighting;
 
 use std::time::Instant;
 
 use rayon::prelude::*;
 
 use crate::brdf::real::Real;
-use crate::capture::{Capture, Photo, Shot};
+use crate::capture::{Capture, Photo};
 use crate::error::{Error, Result};
-use crate::fit::progress::{Control, Stage};
 use crate::fit::report::StageReport;
-use crate::fit::shading::RAW;
 use crate::fit::verdict::Expected;
+use crate::progress::{Control, Stage};
+use crate::raw::RAW;
 use crate::render::encode_radiance;
+use crate::shot::Shot;
 use pixel::{Fit, Fitted, Pixels, Place};
+pub(crate) use rehearsal::{Fold, Rehearsal};
+pub(crate) use weighting::Weighting;
 
 /// Photos left out at most, one at a time.
 pub(super) const LEFT_OUT: usize = 4;
@@ -38,28 +42,6 @@ pub(crate) struct Start<'a> {
     pub rehearsal: &'a Rehearsal,
 }
 
-/// On some pixels, the maps so far as they are where one photo is left out: they decide what is believed how much.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Rehearsal {
-    /// Columns and rows of the grid of `pixels`.
-    pub size: [usize; 2],
-    /// Which pixels of the capture.
-    pub pixels: Vec<usize>,
-    /// One for each photo left out.
-    pub folds: Vec<Fold>,
-}
-
-/// Maps that have not seen one photo.
-#[derive(Clone, Debug)]
-pub(crate) struct Fold {
-    /// The photo.
-    pub without: usize,
-    /// Nine planes of raw values of the pixels.
-    pub raw: Vec<f32>,
-    /// How all photos are taken to be lit.
-    pub shots: Vec<Shot>,
-}
-
 /// What a finish gives.
 #[derive(Clone, Debug)]
 pub(crate) struct Finished {
@@ -67,19 +49,10 @@ pub(crate) struct Finished {
     pub raw: Vec<f32>,
     /// Their standard deviations, given the photos and the network's own.
     pub deviation: Vec<f32>,
-    /// What the photos were found to say about photos and prior.
-    pub belief: Belief,
+    /// With which weighting.
+    pub weighting: Weighting,
     /// Expected errors of a new photo.
     pub expected: Expected,
-}
-
-/// What the photos were found to say about photos and prior.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Belief {
-    /// Standard deviation of the photos that was chosen.
-    pub photo_deviation: f64,
-    /// Shares of the network's deviation that were believed: in normals; in specular albedo and roughness.
-    pub shares: [f64; 2],
 }
 
 /// A photo as the finish compares with it.
@@ -137,14 +110,14 @@ pub(crate) fn finish(
     let views = capture.photos().iter().map(|photo| View { photo, code: codes(photo) }).collect();
     let problem = Problem { capture, views, start, roughness_floor };
 
-    let trust = problem.choose(start.rehearsal, control)?;
-    tracing::debug!("{trust:?}");
+    let weighting = problem.choose(start.rehearsal, control)?;
+    tracing::debug!("{weighting:?}");
     control.report(Stage::Finish, 1, 2, None)?;
 
     let fit_row = |row: usize| {
         let places: Vec<Place> = (row * width..(row + 1) * width).map(|pixel| Place { pixel, so_far: pixel }).collect();
         let (problem, so_far) = (&problem, start.raw);
-        f32::run(Fit(Pixels { problem, places: &places, so_far, shots, without: None, trust, steps }))
+        f32::run(Fit(Pixels { problem, places: &places, so_far, shots, without: None, weighting, steps }))
     };
     let mut rows: Vec<Fitted> = Vec::with_capacity(height);
     // Some rows at a time, so that a caller who wants to stop is heard.
@@ -162,7 +135,7 @@ pub(crate) fn finish(
         planes
     };
     // In the unit of the other stages: 1000 times a mean of squares.
-    let unit = 1000.0 * trust.photo * trust.photo / (3 * pixels * capture.len()) as f64;
+    let unit = 1000.0 * weighting.photo * weighting.photo / (3 * pixels * capture.len()) as f64;
     stages.push(StageReport {
         stage: Stage::Finish,
         steps,
@@ -174,9 +147,8 @@ pub(crate) fn finish(
     });
     control.report(Stage::Finish, 2, 2, None)?;
     let (raw, deviation) = (planes(|row| &row.raw), planes(|row| &row.deviation));
-    let expected = problem.expected(trust, start.rehearsal).unwrap_or_else(|| problem.estimated(&raw, &deviation));
-    let belief = Belief { photo_deviation: trust.photo, shares: [trust.normal, trust.specular] };
-    Ok(Finished { raw, deviation, belief, expected })
+    let expected = problem.expected(weighting, start.rehearsal).unwrap_or_else(|| problem.estimated(&raw, &deviation));
+    Ok(Finished { raw, deviation, weighting, expected })
 }
 
 #[cfg(test)]
@@ -184,14 +156,15 @@ mod tests {
     use std::ops::ControlFlow;
 
     use super::{Finished, Fold, RAW, Rehearsal, Start, finish};
-    use crate::capture::{Capture, Photo, Shot};
+    use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::error::Error;
-    use crate::fit::progress::{CancelToken, Control, Progress};
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
     use crate::nn::Decoding;
+    use crate::progress::{CancelToken, Control, Progress};
     use crate::render::render_maps;
+    use crate::shot::Shot;
 
     const WIDTH: usize = 24;
     const HEIGHT: usize = 20;
@@ -276,8 +249,8 @@ mod tests {
     fn photos_correct_a_wrong_prediction() {
         let truth = truth();
         let start = disturbed(&truth, 0.2);
-        let Finished { raw, deviation, belief, expected } = run(&capture(&truth, 8), &start, 0.12);
-        assert!(belief.photo_deviation <= 0.0125, "{belief:?}");
+        let Finished { raw, deviation, weighting, expected } = run(&capture(&truth, 8), &start, 0.12);
+        assert!(weighting.photo <= 0.0125, "{weighting:?}");
         assert!(expected.error < 0.02 && expected.material <= expected.error && !expected.estimated, "{expected:?}");
         for planes in [0..3, 3..5, 5..6, 6..9] {
             let (before, after) = (rms(&start, &truth, planes.clone()), rms(&raw, &truth, planes.clone()));

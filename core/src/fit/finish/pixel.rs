@@ -1,14 +1,13 @@
 //! Pixels by Levenberg-Marquardt, as many at a time as the processor has lanes.
 #![allow(clippy::needless_range_loop, reason = "indices of raw values are those of vectors and matrices alike")]
 
-use super::trust::Trust;
+use super::weighting::Weighting;
 use super::{Problem, View};
 use crate::brdf::real::{Kernel, Lanes, Real};
-use crate::capture::Shot;
 use crate::cholesky::Cholesky;
-use crate::fit::shading::{
-    FLAT_LIMIT, NORMAL, RAW, ROUGHNESS, SPECULAR, Seen, Sight, Surface, bundle, saturated, unbundle,
-};
+use crate::fit::shading::{CodeJacobian, FLAT_LIMIT, Geometry, Surface, bundle, saturated, unbundle};
+use crate::raw::{NORMAL, RAW, ROUGHNESS, SPECULAR};
+use crate::shot::Shot;
 
 /// Residuals beyond so many deviations count less and less (Cauchy).
 const OUTLIER: f64 = 3.0;
@@ -39,7 +38,7 @@ pub(super) struct Pixels<'p> {
     pub shots: &'p [Shot],
     /// A photo that does not count.
     pub without: Option<usize>,
-    pub trust: Trust,
+    pub weighting: Weighting,
     /// Levenberg-Marquardt steps at most.
     pub steps: usize,
 }
@@ -59,7 +58,7 @@ pub(super) struct Fit<'p>(pub Pixels<'p>);
 /// What a photo taken as the shot says would show of [`Pixels`]: codes.
 pub(super) struct Predict<'p>(pub Pixels<'p>, pub &'p Shot);
 
-/// What photos taken as the shots say would show of raw values: codes and slopes of these pixels, one after the other for each shot.
+/// What photos taken as the shots say would show of raw values: codes and Jacobians of these pixels, one after the other for each shot.
 pub(super) struct Look<'p> {
     pub problem: &'p Problem<'p>,
     pub places: &'p [Place],
@@ -69,7 +68,7 @@ pub(super) struct Look<'p> {
 
 /// Pixels in one photo.
 struct Datum<L: Lanes> {
-    sight: Sight<L>,
+    geometry: Geometry<L>,
     code: [L; 3],
     saturated: [L::Mask; 3],
 }
@@ -88,7 +87,7 @@ struct System<L> {
     matrix: [[L; RAW]; RAW],
 }
 
-/// Where the slopes of channel `c` belong among the raw values, in ascending order.
+/// Where the derivatives of channel `c` belong among the raw values, in ascending order.
 pub(super) fn places(c: usize) -> [usize; 5] {
     [c, NORMAL, NORMAL + 1, ROUGHNESS, SPECULAR + c]
 }
@@ -123,11 +122,11 @@ impl Pixels<'_> {
     /// The prior of pixels.
     #[inline(always)]
     fn prior<L: Lanes>(&self, places: &[Place]) -> Prior<L> {
-        let Self { problem, so_far, trust, .. } = *self;
+        let Self { problem, so_far, weighting, .. } = *self;
         let (pixels, so_far_pixels) = (problem.pixels(), so_far.len() / RAW);
-        let mut prior = Prior { mean: [L::splat(0.0); RAW], weight: self.weights(places, trust) };
+        let mut prior = Prior { mean: [L::splat(0.0); RAW], weight: self.weights(places, weighting) };
         for i in 0..RAW {
-            let share = if (NORMAL..ROUGHNESS).contains(&i) { trust.network_normal } else { trust.network };
+            let share = if (NORMAL..ROUGHNESS).contains(&i) { weighting.network_normal } else { weighting.network };
             let so_far: L = bundle(places, |place| so_far[i * so_far_pixels + place.so_far]);
             let network: L = bundle(places, |place| problem.start.network[i * pixels + place.pixel]);
             prior.mean[i] = L::splat(1.0 - share) * so_far + L::splat(share) * network;
@@ -136,16 +135,16 @@ impl Pixels<'_> {
         prior
     }
 
-    /// Inverse variances of the prior under `trust`.
+    /// Inverse variances of the prior under `weighting`.
     #[inline(always)]
-    fn weights<L: Lanes>(&self, places: &[Place], trust: Trust) -> [L; RAW] {
+    fn weights<L: Lanes>(&self, places: &[Place], weighting: Weighting) -> [L; RAW] {
         let pixels = self.problem.pixels();
         let mut weights = [L::splat(0.0); RAW];
         for i in 0..RAW {
             let share = match i {
                 ..NORMAL => 1.0,
-                NORMAL..ROUGHNESS => trust.normal,
-                ROUGHNESS.. => trust.specular,
+                NORMAL..ROUGHNESS => weighting.normal,
+                ROUGHNESS.. => weighting.specular,
             };
             let deviation: L = bundle(places, |place| self.problem.start.deviation[i * pixels + place.pixel]);
             let deviation = L::splat(share) * deviation.max(L::splat(PRIOR_MIN));
@@ -164,7 +163,7 @@ impl Pixels<'_> {
             }
             let View { photo, code } = view;
             data.push(Datum {
-                sight: Sight::of_pixels(self.problem.capture, shot, places, |place| place.pixel),
+                geometry: Geometry::of_pixels(self.problem.capture, shot, places, |place| place.pixel),
                 code: [
                     bundle(places, |place| code[place.pixel][0]),
                     bundle(places, |place| code[place.pixel][1]),
@@ -178,14 +177,14 @@ impl Pixels<'_> {
     #[inline(always)]
     fn system<L: Lanes>(&self, data: &[Datum<L>], raw: &[L; RAW], prior: &Prior<L>) -> System<L> {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
-        let scale = L::splat((OUTLIER * self.trust.photo).powi(-2));
+        let scale = L::splat((OUTLIER * self.weighting.photo).powi(-2));
         let (weight, cost_of_log) =
-            (L::splat(self.trust.photo.powi(-2)), L::splat(OUTLIER * OUTLIER * std::f64::consts::LN_2));
+            (L::splat(self.weighting.photo.powi(-2)), L::splat(OUTLIER * OUTLIER * std::f64::consts::LN_2));
         let surface = Surface::new(raw);
         let mut system = System { cost: zero, gradient: [zero; RAW], matrix: [[zero; RAW]; RAW] };
         let System { cost, gradient, matrix } = &mut system;
         for datum in data {
-            let Seen { code, slopes } = datum.sight.look(&surface);
+            let CodeJacobian { code, jacobian } = datum.geometry.observe(&surface);
             for c in 0..3 {
                 let residual = code[c] - datum.code[c];
                 // Where the photo is saturated, brighter is right.
@@ -196,10 +195,10 @@ impl Pixels<'_> {
                 let weight = L::select(ignored, zero, weight / grown);
                 let places = places(c);
                 for (a, &i) in places.iter().enumerate() {
-                    let slope = weight * slopes[c][a];
+                    let slope = weight * jacobian[c][a];
                     gradient[i] = slope.mul_add(residual, gradient[i]);
                     for (b, &j) in places[..=a].iter().enumerate() {
-                        matrix[i][j] = slope.mul_add(slopes[c][b], matrix[i][j]);
+                        matrix[i][j] = slope.mul_add(jacobian[c][b], matrix[i][j]);
                     }
                 }
             }
@@ -279,7 +278,7 @@ impl<R: Real> Kernel<R> for Fit<'_> {
             let (first, System { cost, mut matrix, .. }) = pixels.descend(&data, &mut raw, &prior);
             // Around its minimum the cost is that of a Gaussian with this inverse covariance, but for the prior: shares of the network's deviation hold a
             // pixel near the maps so far, which are no surer for that.
-            let sure = pixels.weights(places, Trust { normal: 1.0, specular: 1.0, ..pixels.trust });
+            let sure = pixels.weights(places, Weighting { normal: 1.0, specular: 1.0, ..pixels.weighting });
             for i in 0..RAW {
                 matrix[i][i] = matrix[i][i] + (sure[i] - prior.weight[i]);
             }
@@ -313,8 +312,8 @@ impl<R: Real> Kernel<R> for Predict<'_> {
             let prior = pixels.prior(places);
             let mut raw = prior.mean;
             pixels.descend(&data, &mut raw, &prior);
-            let seen = Sight::<L>::of_pixels(pixels.problem.capture, shot, places, |place| place.pixel)
-                .look(&Surface::new(&raw));
+            let seen = Geometry::<L>::of_pixels(pixels.problem.capture, shot, places, |place| place.pixel)
+                .observe(&Surface::new(&raw));
             codes.extend(unbundle(seen.code, places.len()));
         }
         codes
@@ -335,9 +334,10 @@ impl<R: Real> Kernel<R> for Look<'_> {
                 for i in 0..RAW {
                     bundles[i] = bundle(places, |place| raw[i * length + place.so_far]);
                 }
-                let Seen { code, slopes } = Sight::<L>::of_pixels(problem.capture, shot, places, |place| place.pixel)
-                    .look(&Surface::new(&bundles));
-                let [r, g, b] = slopes;
+                let CodeJacobian { code, jacobian } =
+                    Geometry::<L>::of_pixels(problem.capture, shot, places, |place| place.pixel)
+                        .observe(&Surface::new(&bundles));
+                let [r, g, b] = jacobian;
                 let codes = unbundle(code, places.len());
                 let (r, g, b) = (unbundle(r, places.len()), unbundle(g, places.len()), unbundle(b, places.len()));
                 seen.extend(codes.zip(r.zip(g.zip(b))).map(|(code, (r, (g, b)))| (code, [r, g, b])));
@@ -349,15 +349,16 @@ impl<R: Real> Kernel<R> for Look<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::trust::Trust;
+    use super::super::weighting::Weighting;
     use super::super::{Problem, Rehearsal, Start, View};
     use super::{Fit, Fitted, Pixels, Place};
     use crate::brdf::real::Real;
-    use crate::capture::{Capture, Photo, Shot};
+    use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
-    use crate::fit::shading::RAW;
     use crate::image::Image;
+    use crate::raw::RAW;
     use crate::render::encode_radiance;
+    use crate::shot::Shot;
 
     /// Pixels that are not a whole number of bundles, one of them saturated.
     const PIXELS: usize = 21;
@@ -385,14 +386,14 @@ mod tests {
         let start = Start { raw: &raw, network: &raw, deviation: &deviation, rehearsal: &rehearsal };
         let problem = Problem { capture: &capture, views, start, roughness_floor: -0.9 };
         let places: Vec<Place> = (0..PIXELS).map(|pixel| Place { pixel, so_far: pixel }).collect();
-        let trust = Trust { photo: 0.05, normal: 0.3, specular: 1.0, network_normal: 0.0, network: 0.0 };
+        let weighting = Weighting { photo: 0.05, normal: 0.3, specular: 1.0, network_normal: 0.0, network: 0.0 };
         let pixels = Pixels {
             problem: &problem,
             places: &places,
             so_far: &raw,
             shots: &shots,
             without: Some(2),
-            trust,
+            weighting,
             steps: 60,
         };
         let (single, double) = (f32::run(Fit(pixels)), f64::run(Fit(pixels)));

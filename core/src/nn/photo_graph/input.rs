@@ -5,10 +5,11 @@ use std::f64::consts::PI;
 use rayon::prelude::*;
 
 use super::config::{INPUTS, RATIO_MAX};
-use crate::capture::{Photo, Shot};
+use crate::capture::Photo;
 use crate::error::Result;
 use crate::nn::layout::Layout;
 use crate::nn::tape::{Planes, Pool};
+use crate::shot::Shot;
 
 const GAMMA: f64 = 2.2;
 /// Smallest radiance of the white surface, and smallest ratio to it.

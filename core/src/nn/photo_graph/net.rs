@@ -7,7 +7,6 @@ use super::config::{HINTS, LOG_SIGMA, PhotoGraphConfig};
 use super::hints::Hints;
 use super::rounds::{DIRECTIONS, Node, Pooling, Round};
 use crate::error::{Error, Result};
-use crate::fit::progress::Control;
 use crate::nn::config::ISOTROPIC_ADAPTERS;
 use crate::nn::layout::Layout;
 use crate::nn::nafnet::{Block, Layer, block_within};
@@ -15,6 +14,7 @@ use crate::nn::network::{Blocks, Source, blocks, layer};
 use crate::nn::ops::{conv3x3, pixel_shuffle, pixel_unshuffle, pointwise};
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Param, Planes, Pool};
+use crate::progress::Control;
 
 /// First plane of a photo's directions.
 pub(super) const FIRST_DIRECTION: usize = 7;

@@ -8,10 +8,9 @@ use safetensors::SafeTensors;
 use super::config::{HINTS, INPUTS};
 use super::hints::Hints;
 use super::{Net, Output, PhotoGraph, PhotoGraphConfig, build, input, padded};
-use crate::capture::{Capture, Photo, Shot};
+use crate::capture::{Capture, Photo};
 use crate::color::Transfer;
 use crate::error::Error;
-use crate::fit::progress::{CancelToken, Control, Progress};
 use crate::image::Image;
 use crate::maps::{Lobe, Maps};
 #[cfg(feature = "train")]
@@ -22,6 +21,8 @@ use crate::nn::model::testing::{self, reason};
 use crate::nn::ops::testing::{compare, numbers};
 use crate::nn::scalar::Scalar;
 use crate::nn::tape::{Planes, Pool};
+use crate::progress::{CancelToken, Control, Progress};
+use crate::shot::Shot;
 
 fn go_on(_: &Progress) -> ControlFlow<()> {
     ControlFlow::Continue(())

@@ -7,9 +7,9 @@ use std::f32::consts::PI;
 
 use super::dice::Dice;
 use crate::brdf::{Surface, shade_point};
-use crate::capture::Shot;
 use crate::maps::{Lobe, Maps, NORMAL_PLANE};
 use crate::nn::{INPUTS, PhotoView};
+use crate::shot::Shot;
 
 const GAMMA: f32 = 2.2;
 /// Smallest share of the capture's width that is seen.

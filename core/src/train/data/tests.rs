@@ -10,9 +10,9 @@ use super::dice::{Dice, Purpose};
 use super::noise::Transform;
 use super::texture::{Crop, Texture};
 use super::{Data, Pool, augment, procedural};
-use crate::capture::Shot;
 use crate::maps::{Lobe, Maps, NORMAL_PLANE};
 use crate::nn::INPUTS;
+use crate::shot::Shot;
 use crate::train::Configuration;
 use crate::train::batch::Batch;
 

@@ -5,16 +5,16 @@ use crate::error::Result;
 use crate::image::Image;
 
 /// Pixels along the longer side on which photos that are left out judge a fit.
-pub(super) const REHEARSAL_SIDE: usize = 64;
+pub(crate) const REHEARSAL_SIDE: usize = 64;
 
 /// The photos of `count` that are left out, one at a time: `most` of them at most, evenly spread.
-pub(super) fn left_out(count: usize, most: usize) -> impl Iterator<Item = usize> + Clone {
+pub(crate) fn left_out(count: usize, most: usize) -> impl Iterator<Item = usize> + Clone {
     let folds = count.min(most);
     (0..folds).map(move |fold| fold * count / folds)
 }
 
 /// `capture` on a regular grid of its pixels, `side` along the longer side at most; and which pixels these are.
-pub(super) fn thinned(capture: &Capture, side: usize) -> Result<(Capture, Vec<usize>)> {
+pub(crate) fn thinned(capture: &Capture, side: usize) -> Result<(Capture, Vec<usize>)> {
     let ([across, down], pixels) = grid(capture.width(), capture.height(), side);
     let part = |photo: &Photo| -> Result<Photo> {
         let data = pixels.iter().flat_map(|&p| photo.image.data()[3 * p..3 * p + 3].iter().copied()).collect();
@@ -30,13 +30,13 @@ pub(super) fn thinned(capture: &Capture, side: usize) -> Result<(Capture, Vec<us
 }
 
 /// `count` planes at some pixels only.
-pub(super) fn thinned_planes(planes: &[f32], count: usize, pixels: &[usize]) -> Vec<f32> {
+pub(crate) fn thinned_planes(planes: &[f32], count: usize, pixels: &[usize]) -> Vec<f32> {
     let length = planes.len() / count;
     planes.chunks_exact(length).flat_map(|plane| pixels.iter().map(|&p| plane[p])).collect()
 }
 
 /// A regular grid on an image, `side` pixels along the longer side at most: its columns and rows, and its pixels.
-pub(super) fn grid(width: usize, height: usize, side: usize) -> ([usize; 2], Vec<usize>) {
+pub(crate) fn grid(width: usize, height: usize, side: usize) -> ([usize; 2], Vec<usize>) {
     let pitch = (width.max(height) as f64 / side as f64).max(1.0);
     let size = |len: usize| ((len as f64 / pitch).round() as usize).max(1);
     let (across, down) = (size(width), size(height));

@@ -1,10 +1,10 @@
 //! First stage of the network fit: Adam on the latent code (paper, Section 3.3, Eq. 6).
 
 use crate::error::Result;
-use crate::fit::adapters::Readout;
-use crate::fit::descent::{Descent, EarlyStop, Settings, descend};
-use crate::fit::progress::{Control, Stage};
+use crate::fit::optim::descent::{Descent, EarlyStop, Settings, descend};
+use crate::fit::paper::adapters::Readout;
 use crate::nn::{AdapterParams, Code, Network};
+use crate::progress::{Control, Stage};
 
 /// Moves the latent code of `code` so that the rendering of the maps that `readout` has from the decoded feature matches its targets.
 /// The best latent code is left in `code` and its feature in `readout`. Decoder, skips and `adapters` stay as they are.

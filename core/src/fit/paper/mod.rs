@@ -1,18 +1,21 @@
 //! The paper's fit: encode once, then the latent code, then the adapters.
 
+pub mod adapters;
+pub mod latent;
+
 use std::time::Instant;
 
+use self::latent::fit_latent;
 use crate::capture::Capture;
 use crate::color::Transfer;
 use crate::error::Result;
-use crate::fit::adapters::{Readout, fit_adapters};
-use crate::fit::descent::EarlyStop;
-use crate::fit::latent::fit_latent;
+use crate::fit::optim::descent::EarlyStop;
 use crate::fit::options::FitOptions;
-use crate::fit::progress::{Control, Stage};
+use crate::fit::paper::adapters::{Readout, fit_adapters};
 use crate::fit::report::StageReport;
 use crate::maps::Maps;
 use crate::nn::{AdapterParams, Decoding, Network};
+use crate::progress::{Control, Stage};
 use crate::render::Target;
 
 /// Fits maps of the network's kind to all photos of `capture`, of which the network encodes as many of the first as it takes.
@@ -49,14 +52,14 @@ pub(crate) fn fit_network(
     let mut readout = Readout::new(&empty, channels, &outputs, decoding, capture.patch_size(), targets)?;
 
     let begun = Instant::now();
-    let steps = options.latent_steps.unwrap_or(options.preset.latent_steps());
+    let steps = options.steps(Stage::Latent);
     let descent = fit_latent(network, &mut code, &adapters, &mut readout, steps, early_stop, control)?;
     stages.push(StageReport::new(Stage::Latent, &descent, begun.elapsed().as_secs_f64()));
     // The skips are large and no longer needed.
     drop(code);
 
     let begun = Instant::now();
-    let steps = options.adapter_steps.unwrap_or(options.preset.adapter_steps());
+    let steps = options.steps(Stage::Adapters);
     let descent = fit_adapters(&mut readout, &mut adapters, steps, early_stop, control)?;
     stages.push(StageReport::new(Stage::Adapters, &descent, begun.elapsed().as_secs_f64()));
     Ok(readout.into_maps())

@@ -4,10 +4,11 @@
 
 use rayon::prelude::*;
 
-use crate::capture::{Capture, Photo, Shot};
+use crate::capture::{Capture, Photo};
 use crate::error::Result;
 use crate::maps::Maps;
 use crate::render::{encode_radiance, render_maps};
+use crate::shot::Shot;
 
 /// Share of an estimated deviation that is believed: what the maps cannot explain yet looks like other light.
 const BELIEVED: f64 = 0.7;
@@ -32,7 +33,7 @@ pub(super) fn gains(capture: &Capture, maps: &Maps<f32>) -> Result<Vec<f64>> {
 }
 
 /// Likewise for one photo that `maps` have not seen; theirs are near 1.
-pub(super) fn gain_alone(capture: &Capture, photo: usize, maps: &Maps<f32>) -> Result<f64> {
+pub(super) fn held_out_gain(capture: &Capture, photo: usize, maps: &Maps<f32>) -> Result<f64> {
     if capture.len() <= PHOTOS_MIN {
         return Ok(1.0);
     }
@@ -40,7 +41,7 @@ pub(super) fn gain_alone(capture: &Capture, photo: usize, maps: &Maps<f32>) -> R
 }
 
 /// Whether a gain is the largest or the least that is granted.
-pub(super) fn at_limit(gain: f64) -> bool {
+pub(crate) fn at_limit(gain: f64) -> bool {
     gain.ln().abs() > 0.99 * LIMIT
 }
 
@@ -54,7 +55,7 @@ fn log_gain(capture: &Capture, photo: usize, maps: &Maps<f32>) -> Result<f64> {
 }
 
 /// The shots of `capture` under these gains.
-pub(super) fn shots(capture: &Capture, gains: &[f64]) -> Vec<Shot> {
+pub(crate) fn shots(capture: &Capture, gains: &[f64]) -> Vec<Shot> {
     let lit = |(photo, gain): (&Photo, &f64)| Shot {
         light_intensity: photo.shot.light_intensity.map(|intensity| intensity * gain),
         ..photo.shot
@@ -94,11 +95,12 @@ fn code_ratio(photo: &Photo, rendering: &[f32]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::{BELIEVED, gains, shots};
-    use crate::capture::{Capture, Photo, Shot};
+    use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
     use crate::render::render_maps;
+    use crate::shot::Shot;
 
     const SIDE: usize = 12;
 

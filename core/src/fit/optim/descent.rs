@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::fit::adam::Adam;
-use crate::fit::progress::{Control, Stage};
+use crate::fit::optim::adam::Adam;
+use crate::progress::{Control, Stage};
 
 /// Parameters that one thread looks at, at a time.
 const PART: usize = 1 << 15;
@@ -171,7 +171,7 @@ mod tests {
 
     use super::{EarlyStop, Settings, descend};
     use crate::error::{Error, Result};
-    use crate::fit::progress::{CancelToken, Control, Progress, Stage};
+    use crate::progress::{CancelToken, Control, Progress, Stage};
 
     const SETTINGS: Settings = Settings {
         stage: Stage::Adapters,

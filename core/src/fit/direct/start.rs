@@ -1,4 +1,4 @@
-//! Where [`direct`](super::direct) begins: which specular albedo, roughness and common tilt explain the photos of a flat surface best.
+//! Where [`direct`](super) begins: which specular albedo, roughness and common tilt explain the photos of a flat surface best.
 //!
 //! For fixed roughness and specular albedo the diffuse albedo of a pixel is a linear least-squares problem, so that a colour group's two
 //! values can be searched on a grid. A descent from a dielectric of 4 % alone stays there where the photos show metal or gloss.
@@ -9,10 +9,10 @@
 
 use rayon::prelude::*;
 
-use super::shading::{Parts, Sight, bundle, saturated, unbundle};
+use super::groups::Membership;
 use crate::brdf::real::{Kernel, LANES_MAX, Lanes, Real, Wide};
-use crate::capture::Capture;
-use crate::fit::cluster::Membership;
+use crate::capture::{Capture, Photo};
+use crate::fit::shading::{Geometry, Parts, bundle, saturated, unbundle};
 use crate::render::encode;
 
 /// Pixels of a group that are looked at.
@@ -43,16 +43,16 @@ pub(super) struct Prior<'a> {
     pub tilt: &'a (dyn Fn([f64; 2]) -> f64 + Sync),
 }
 
-/// What was found for a colour group.
+/// The lobe of a colour group.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Found {
+pub(super) struct GroupLobe {
     pub specular: [f64; 3],
     pub roughness: f64,
 }
 
 /// Pixels in one photo.
 struct View<L: Lanes> {
-    sight: Sight<L>,
+    geometry: Geometry<L>,
     code: [L; 3],
     radiance: [L; 3],
     /// Squared slopes of the codes, by radiance; 0 where that is not known.
@@ -73,8 +73,8 @@ impl<L: Lanes> View<L> {
             let slope2 = radiance[c].max(L::splat(SLOPE_DARK)).pow_normal(SLOPE_EXPONENT);
             weight[c] = L::select(saturated[c], zero[c], slope2);
         }
-        let sight = Sight::of_pixels(capture, &photo.shot, pixels, |&pixel| pixel);
-        Self { sight, code, radiance, weight, saturated }
+        let geometry = Geometry::of_pixels(capture, &photo.shot, pixels, |&pixel| pixel);
+        Self { geometry, code, radiance, weight, saturated }
     }
 
     /// The pixels in each of `photos`.
@@ -93,7 +93,7 @@ impl<L: Lanes> View<L> {
 fn shade<L: Lanes>(views: &[View<L>], normal: [L; 3], alpha: L, parts: &mut Vec<Parts<L>>) {
     parts.clear();
     for view in views {
-        parts.push(view.sight.parts(normal, alpha));
+        parts.push(view.geometry.parts(normal, alpha));
     }
 }
 
@@ -147,7 +147,7 @@ struct Explain<'a> {
 }
 
 impl<R: Real> Kernel<R> for Explain<'_> {
-    type Output = Vec<(f64, Found)>;
+    type Output = Vec<(f64, GroupLobe)>;
 
     #[inline(always)]
     fn run<L: Lanes<Scalar = R>>(self) -> Self::Output {
@@ -162,7 +162,7 @@ impl<R: Real> Kernel<R> for Explain<'_> {
         let mut best_of_tilts = Vec::with_capacity(tilts.len());
         for &tilt in tilts {
             let normal = normal(tilt);
-            let mut best = (f64::INFINITY, Found { specular: [0.04; 3], roughness: 0.5 });
+            let mut best = (f64::INFINITY, GroupLobe { specular: [0.04; 3], roughness: 0.5 });
             for roughness in ROUGHNESSES.into_iter().step_by(step) {
                 let mut sums = [[L::splat(0.0); SPECULARS.len()]; 3];
                 for (views, counted) in &bundles {
@@ -175,7 +175,7 @@ impl<R: Real> Kernel<R> for Explain<'_> {
                         }
                     }
                 }
-                let mut found = Found { specular: [0.04; 3], roughness };
+                let mut found = GroupLobe { specular: [0.04; 3], roughness };
                 let mut total = (prior.roughness)(roughness);
                 for &c in channels {
                     let mut least = f64::INFINITY;
@@ -211,7 +211,7 @@ pub(super) fn search(
     memberships: &[Membership],
     groups: usize,
     prior: &Prior<'_>,
-) -> (Vec<Found>, [f64; 2]) {
+) -> (Vec<GroupLobe>, [f64; 2]) {
     let count = capture.len().min(PHOTOS);
     let photos: Vec<usize> = (0..count).map(|i| i * capture.len() / count).collect();
     let mut members = vec![Vec::new(); groups];
@@ -234,7 +234,7 @@ pub(super) fn search(
         let pixels: Vec<usize> = sample.iter().step_by(TILT_STRIDE).copied().collect();
         explain(&pixels, &tilts, 2, &[1])
     };
-    let of_groups: Vec<Vec<(f64, Found)>> = samples.par_iter().map(quick).collect();
+    let of_groups: Vec<Vec<(f64, GroupLobe)>> = samples.par_iter().map(quick).collect();
     let mut best = (f64::INFINITY, [0.0; 2]);
     for (i, &tilt) in tilts.iter().enumerate() {
         // A group counts by its size.
@@ -251,7 +251,12 @@ pub(super) fn search(
 }
 
 /// The diffuse albedo of all pixels beside what was `found` for their groups, on a surface that leans by `tilt`.
-pub(super) fn diffuse(capture: &Capture, memberships: &[Membership], found: &[Found], tilt: [f64; 2]) -> Vec<[f32; 3]> {
+pub(super) fn diffuse(
+    capture: &Capture,
+    memberships: &[Membership],
+    found: &[GroupLobe],
+    tilt: [f64; 2],
+) -> Vec<[f32; 3]> {
     let pixels: Vec<usize> = (0..memberships.len()).collect();
     let parts: Vec<Vec<[f32; 3]>> =
         pixels.par_chunks(PART).map(|pixels| f32::run(Beside { capture, pixels, memberships, found, tilt })).collect();
@@ -262,7 +267,7 @@ struct Beside<'a> {
     capture: &'a Capture,
     pixels: &'a [usize],
     memberships: &'a [Membership],
-    found: &'a [Found],
+    found: &'a [GroupLobe],
     tilt: [f64; 2],
 }
 
@@ -274,7 +279,7 @@ impl<R: Real> Kernel<R> for Beside<'_> {
         let Self { capture, pixels, memberships, found, tilt } = self;
         let photos: Vec<usize> = (0..capture.len()).collect();
         let normal = normal(tilt);
-        let mixed = |pixel: usize, value: &dyn Fn(&Found) -> f64| {
+        let mixed = |pixel: usize, value: &dyn Fn(&GroupLobe) -> f64| {
             let [(a, of_a), (b, of_b)] = memberships[pixel];
             let (a, b) = (value(&found[a as usize]), value(&found[b as usize]));
             (f64::from(of_a) * a + f64::from(of_b) * b) as f32
@@ -296,15 +301,66 @@ impl<R: Real> Kernel<R> for Beside<'_> {
     }
 }
 
+/// A first diffuse albedo, three planes: each photo divided by the irradiance of a flat surface, and of these the mean over the darker
+/// ones, which highlights reach least.
+pub(super) fn diffuse_start(capture: &Capture) -> Vec<f32> {
+    let (width, height) = (capture.width(), capture.height());
+    let pixels = width * height;
+    let photos = capture.photos();
+    let darker = (photos.len() / 2).max(2).saturating_sub(1).clamp(1, photos.len());
+    let mut albedo = vec![0.0; 3 * pixels];
+    let rows: Vec<Vec<[f32; 3]>> = (0..height)
+        .into_par_iter()
+        .map(|row| {
+            (0..width)
+                .map(|column| {
+                    let mut values: [Vec<f32>; 3] = Default::default();
+                    for photo in photos {
+                        let seen = flat_albedo(photo, capture.position(row, column), row * width + column);
+                        values.iter_mut().zip(seen).for_each(|(values, seen)| values.push(seen));
+                    }
+                    values.map(|mut values| {
+                        values.sort_by(f32::total_cmp);
+                        (sum(values[..darker].iter().copied()) / darker as f32).clamp(1e-3, 0.95)
+                    })
+                })
+                .collect()
+        })
+        .collect();
+    for (p, color) in rows.into_iter().flatten().enumerate() {
+        color.into_iter().enumerate().for_each(|(c, value)| albedo[c * pixels + p] = value);
+    }
+    albedo
+}
+
+/// The albedo a flat Lambertian surface would need for what `photo` shows at `pixel`.
+pub(super) fn flat_albedo(photo: &Photo, position: [f64; 2], pixel: usize) -> [f32; 3] {
+    let to_light = [photo.shot.light[0] - position[0], photo.shot.light[1] - position[1], photo.shot.light[2]];
+    let distance2: f64 = to_light.iter().map(|x| x * x).sum();
+    let n_dot_l = to_light[2] / distance2.sqrt();
+    let seen = &photo.image.data()[3 * pixel..3 * pixel + 3];
+    [0, 1, 2].map(|c| {
+        let irradiance = photo.shot.light_intensity[c] * n_dot_l / distance2;
+        // An unlit channel says nothing: grey.
+        if irradiance > 0.0 { (f64::from(seen[c]) * std::f64::consts::PI / irradiance) as f32 } else { 0.5 }
+    })
+}
+
+/// Sum in f64, in order.
+fn sum(values: impl Iterator<Item = f32>) -> f32 {
+    values.map(f64::from).sum::<f64>() as f32
+}
+
 #[cfg(test)]
 mod tests {
     use super::{Explain, Prior, diffuse, search};
     use crate::brdf::real::Real;
-    use crate::capture::{Capture, Photo, Shot};
+    use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
     use crate::render::render_maps;
+    use crate::shot::Shot;
 
     const SIDE: usize = 12;
     const PIXELS: usize = SIDE * SIDE;

@@ -4,10 +4,10 @@
 //! so the material feature is computed once and a step costs the adapters, the renderer and nothing else.
 
 use crate::error::{Error, Result};
-use crate::fit::descent::{Descent, EarlyStop, Settings, descend};
-use crate::fit::progress::{Control, Stage};
+use crate::fit::optim::descent::{Descent, EarlyStop, Settings, descend};
 use crate::maps::Maps;
 use crate::nn::{AdapterParams, Adapters, Decoding};
+use crate::progress::{Control, Stage};
 use crate::render::{Target, photo_loss};
 
 /// Learning rate for several photos, and for one (released optimisation).
@@ -150,11 +150,11 @@ mod tests {
     use std::ops::ControlFlow;
 
     use super::{Readout, fit_adapters};
-    use crate::capture::Shot;
-    use crate::fit::progress::{CancelToken, Control, Progress};
     use crate::maps::{Lobe, Maps};
     use crate::nn::{AdapterParams, Decoding};
+    use crate::progress::{CancelToken, Control, Progress};
     use crate::render::{Target, encode_radiance, render_maps};
+    use crate::shot::Shot;
 
     const WIDTH: usize = 13;
     const HEIGHT: usize = 10;

@@ -2,6 +2,8 @@
 
 use rayon::prelude::*;
 
+use crate::color::Transfer;
+
 /// Pixels looked at to find the groups; more would only take longer.
 const SAMPLES: usize = 16_384;
 /// Of them one thread takes so many at a time.
@@ -114,6 +116,12 @@ fn nearest(color: [f32; 3], centers: &[[f32; 3]]) -> usize {
         }
     }
     nearest.0
+}
+
+/// Pixels in at most `count` groups by three planes of diffuse albedo, and how many groups there are.
+pub(super) fn colour_groups(diffuse: &[f32], count: usize, seed: u64) -> (Vec<Membership>, usize) {
+    let encoded: Vec<f32> = diffuse.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
+    soft_groups(&encoded, diffuse.len() / 3, count, seed)
 }
 
 #[cfg(test)]

@@ -1,17 +1,18 @@
 //! The picture that shows a person what a fit came to.
 
+mod font;
+
 use std::path::Path;
 
-use super::encode::png8;
-use super::font;
-use super::resize::{fit_size, shrink};
-use crate::capture::Shot;
 use crate::color::Transfer;
 use crate::error::{Error, Result};
 use crate::image::Image;
+use crate::io::png8;
+use crate::io::resize::{fit_size, shrink};
 use crate::material::Material;
 use crate::metrics::photo_rmse;
 use crate::render::render;
+use crate::shot::Shot;
 
 /// The longer side of a panel in pixels.
 const PANEL: usize = 256;

@@ -5,12 +5,12 @@ use rayon::prelude::*;
 use super::pixel::{Look, Pixels, Place, Predict, places};
 use super::{Fold, Problem, Rehearsal};
 use crate::brdf::real::Real;
-use crate::capture::Shot;
 use crate::error::Result;
-use crate::fit::holdout::grid;
-use crate::fit::progress::Control;
+use crate::fit::optim::holdout::grid;
 use crate::fit::verdict::Expected;
 use crate::metrics::code_rmse_smooth_gain;
+use crate::progress::Control;
+use crate::shot::Shot;
 
 /// Candidates for the standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
 const PHOTO_DEVIATIONS: [f64; 6] = [0.2, 0.1, 0.05, 0.025, 0.0125, 0.006];
@@ -28,9 +28,9 @@ const PART: usize = 64;
 const NEW_PLACES: usize = 4;
 const NEW_ANGLE: f64 = 0.35;
 
-/// What is believed how much.
+/// How much the photos count, the maps so far and the network.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Trust {
+pub(crate) struct Weighting {
     /// Standard deviation of a photo's codes.
     pub photo: f64,
     /// Shares of the network's deviation that are believed, in normals, and in specular albedo and roughness.
@@ -41,7 +41,7 @@ pub(super) struct Trust {
     pub network: f64,
 }
 
-impl Trust {
+impl Weighting {
     /// Where the search begins, and what a single photo gets.
     const START: Self = Self { photo: 0.025, normal: 0.3, specular: 0.3, network_normal: 0.0, network: 0.0 };
     /// Where the search begins a second time: one value after the other, it does not find the way here from the first.
@@ -49,15 +49,15 @@ impl Trust {
 }
 
 impl Problem<'_> {
-    /// The trust with which photos that are left out are predicted best, found one value after the other.
-    pub(super) fn choose(&self, rehearsal: &Rehearsal, control: &mut Control<'_>) -> Result<Trust> {
+    /// The weighting with which photos that are left out are predicted best, found one value after the other.
+    pub(super) fn choose(&self, rehearsal: &Rehearsal, control: &mut Control<'_>) -> Result<Weighting> {
         if rehearsal.folds.is_empty() {
-            return Ok(Trust::START);
+            return Ok(Weighting::START);
         }
-        let mut best = (f64::INFINITY, Trust::START);
+        let mut best = (f64::INFINITY, Weighting::START);
         for network in NETWORK {
-            for start in [Trust::START, Trust::OF_PHOTOS] {
-                let found = self.search(Trust { network, network_normal: network, ..start }, rehearsal, control)?;
+            for start in [Weighting::START, Weighting::OF_PHOTOS] {
+                let found = self.search(Weighting { network, network_normal: network, ..start }, rehearsal, control)?;
                 if found.0 < best.0 {
                     best = found;
                 }
@@ -67,28 +67,33 @@ impl Problem<'_> {
         Ok(best.1)
     }
 
-    /// From `best` on, the trust with the least error of photos that are left out, one value after the other; and that error.
-    fn search(&self, mut best: Trust, rehearsal: &Rehearsal, control: &mut Control<'_>) -> Result<(f64, Trust)> {
+    /// From `best` on, the weighting with the least error of photos that are left out, one value after the other; and that error.
+    fn search(
+        &self,
+        mut best: Weighting,
+        rehearsal: &Rehearsal,
+        control: &mut Control<'_>,
+    ) -> Result<(f64, Weighting)> {
         let mut lowest = self.left_out_error(best, rehearsal);
-        type Set = fn(&mut Trust, f64);
+        type Set = fn(&mut Weighting, f64);
         let searches: [(&[f64], Set); 5] = [
-            (&PHOTO_DEVIATIONS, |trust, value| trust.photo = value),
-            (&NETWORK, |trust, value| trust.network_normal = value),
-            (&SHARES, |trust, value| trust.normal = value),
-            (&SHARES, |trust, value| trust.specular = value),
-            (&PHOTO_DEVIATIONS, |trust, value| trust.photo = value),
+            (&PHOTO_DEVIATIONS, |weighting, value| weighting.photo = value),
+            (&NETWORK, |weighting, value| weighting.network_normal = value),
+            (&SHARES, |weighting, value| weighting.normal = value),
+            (&SHARES, |weighting, value| weighting.specular = value),
+            (&PHOTO_DEVIATIONS, |weighting, value| weighting.photo = value),
         ];
         for (values, set) in searches {
             for &value in values {
-                let mut trust = best;
-                set(&mut trust, value);
-                if trust == best {
+                let mut weighting = best;
+                set(&mut weighting, value);
+                if weighting == best {
                     continue;
                 }
                 control.poll()?;
-                let error = self.left_out_error(trust, rehearsal);
+                let error = self.left_out_error(weighting, rehearsal);
                 if error < lowest {
-                    (lowest, best) = (error, trust);
+                    (lowest, best) = (error, weighting);
                 }
             }
         }
@@ -96,12 +101,12 @@ impl Problem<'_> {
     }
 
     /// Mean squared error of the photos that the folds of `rehearsal` left out.
-    fn left_out_error(&self, trust: Trust, rehearsal: &Rehearsal) -> f64 {
+    fn left_out_error(&self, weighting: Weighting, rehearsal: &Rehearsal) -> f64 {
         let mut total = (0.0, 0.0);
         for fold in &rehearsal.folds {
             let view = &self.views[fold.without];
             // Summed in order: the same bits on any number of threads.
-            for (pixel, code) in self.predict(fold, &fold.shots[fold.without], trust, rehearsal) {
+            for (pixel, code) in self.predict(fold, &fold.shots[fold.without], weighting, rehearsal) {
                 for c in (0..3).filter(|c| view.photo.saturated[pixel] >> c & 1 == 0) {
                     total.0 += (f64::from(code[c].min(1.0)) - f64::from(view.code[pixel][c])).powi(2);
                     total.1 += 1.0;
@@ -112,7 +117,7 @@ impl Problem<'_> {
     }
 
     /// What the photo that `fold` left out would show if it was taken as `shot`: some pixels, and their codes.
-    fn predict(&self, fold: &Fold, shot: &Shot, trust: Trust, rehearsal: &Rehearsal) -> Vec<(usize, [f32; 3])> {
+    fn predict(&self, fold: &Fold, shot: &Shot, weighting: Weighting, rehearsal: &Rehearsal) -> Vec<(usize, [f32; 3])> {
         let [width, height] = rehearsal.size;
         let (_, sample) = grid(width, height, CHOICE_SIDE);
         let places: Vec<Place> =
@@ -124,7 +129,7 @@ impl Problem<'_> {
                 so_far: &fold.raw,
                 shots: &fold.shots,
                 without: Some(fold.without),
-                trust,
+                weighting,
                 steps: CHOICE_STEPS,
             };
             f32::run(Predict(pixels, shot))
@@ -134,12 +139,12 @@ impl Problem<'_> {
     }
 
     /// Expected errors of a new photo, from how those are missed that the folds of `rehearsal` left out, under their stated light.
-    pub(super) fn expected(&self, trust: Trust, rehearsal: &Rehearsal) -> Option<Expected> {
+    pub(super) fn expected(&self, weighting: Weighting, rehearsal: &Rehearsal) -> Option<Expected> {
         let [width, height] = rehearsal.size;
         let ([columns, _], _) = grid(width, height, CHOICE_SIDE);
         let error = |fold: &Fold| {
             let view = &self.views[fold.without];
-            let predicted = self.predict(fold, &view.photo.shot, trust, rehearsal);
+            let predicted = self.predict(fold, &view.photo.shot, weighting, rehearsal);
             let clamped = |code: [f32; 3]| code.map(|value| f64::from(value).clamp(0.0, 1.0));
             let seen: Vec<[f64; 3]> = predicted.iter().map(|&(pixel, _)| clamped(view.code[pixel])).collect();
             let predicted: Vec<[f64; 3]> = predicted.into_iter().map(|(_, code)| clamped(code)).collect();
@@ -165,9 +170,9 @@ impl Problem<'_> {
         let shots: Vec<Shot> = (0..NEW_PLACES).map(around).collect();
         let sample: Vec<Place> = sample.into_iter().map(|pixel| Place { pixel, so_far: pixel }).collect();
         let seen = f32::run(Look { problem: self, places: &sample, raw, shots: &shots });
-        let moved = |(place, (_, slopes)): (&Place, &([f32; 3], [[f32; 5]; 3]))| -> f64 {
+        let moved = |(place, (_, jacobian)): (&Place, &([f32; 3], [[f32; 5]; 3]))| -> f64 {
             let by =
-                |c: usize, i: usize| f64::from(slopes[c][i] * deviation[places(c)[i] * self.pixels() + place.so_far]);
+                |c: usize, i: usize| f64::from(jacobian[c][i] * deviation[places(c)[i] * self.pixels() + place.so_far]);
             (0..3).flat_map(|c| (0..5).map(move |i| (c, i))).map(|(c, i)| by(c, i).powi(2)).sum()
         };
         let sum: f64 = sample.iter().cycle().zip(&seen).map(moved).sum();

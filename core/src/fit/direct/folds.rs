@@ -1,0 +1,69 @@
+//! The fit without one photo, for each of some: maps that can be judged on that photo.
+
+use super::{DirectFit, Problem, light};
+use crate::capture::Capture;
+use crate::error::Result;
+use crate::fit::optim::holdout::{REHEARSAL_SIDE, left_out, thinned, thinned_planes};
+use crate::fit::options::FitOptions;
+use crate::fit::verdict::Expected;
+use crate::image::Image;
+use crate::metrics::{photo_rmse, photo_rmse_smooth_gain};
+use crate::progress::{Control, Stage};
+use crate::render::render_maps;
+
+/// What [`fit_direct`](super::fit_direct) finds on some pixels where one photo is left out.
+pub(crate) struct Folds {
+    /// All photos on a regular grid of pixels, and which pixels of the capture these are.
+    pub thinned: Capture,
+    pub pixels: Vec<usize>,
+    /// The photo left out, and what was found; its gain is that with which the maps predict it best.
+    pub folds: Vec<(usize, DirectFit)>,
+}
+
+impl Folds {
+    /// Expected errors of a new photo, from how the photos left out are missed under their stated light; `None` if there are none.
+    pub fn expected(&self) -> Result<Option<Expected>> {
+        let mut errors = Vec::new();
+        for (without, direct) in &self.folds {
+            let photo = &self.thinned.photos()[*without];
+            let (width, height) = (self.thinned.width(), self.thinned.height());
+            let planes = render_maps(&direct.maps, self.thinned.patch_size(), &photo.shot)?;
+            let rendering = Image::from_planar(width, height, 3, &planes)?;
+            errors.push([photo_rmse(&rendering, &photo.image)?, photo_rmse_smooth_gain(&rendering, &photo.image)?]);
+        }
+        Ok(Expected::of(&errors))
+    }
+}
+
+/// [`fit_direct`](super::fit_direct) without one photo, for each of some photos, on a part of the pixels: maps that can be judged on that photo. `relief` as it was chosen
+/// for all photos.
+///
+/// # Errors
+/// As [`fit_direct`](super::fit_direct).
+pub(crate) fn fit_folds(
+    capture: &Capture,
+    relief: Option<&[f32]>,
+    most: usize,
+    options: &FitOptions,
+    control: &mut Control<'_>,
+) -> Result<Folds> {
+    let steps = options.steps(Stage::Direct);
+    let (thin, pixels) = thinned(capture, REHEARSAL_SIDE)?;
+    let relief = relief.map(|relief| thinned_planes(relief, 2, &pixels));
+    let mut folds = Vec::new();
+    // A single photo cannot be left out.
+    let count = if capture.len() > 1 { capture.len() } else { 0 };
+    for without in left_out(count, most) {
+        control.poll()?;
+        let rest: Vec<usize> = (0..capture.len()).filter(|&photo| photo != without).collect();
+        let rest = thin.select(&rest)?;
+        let mut problem = Problem::new(&rest, crate::fit::targets(&rest)?, options.seed)?;
+        problem.parameters.relief.clone_from(&relief);
+        let fit = |control: &mut Control<'_>| problem.fit_in_rounds(&rest, steps, options.seed, control);
+        let (mut direct, _) = Control::silently(options.cancel.clone(), fit)?;
+        let gain = light::held_out_gain(&thin, without, &direct.maps)?;
+        direct.gains.insert(without, gain);
+        folds.push((without, direct));
+    }
+    Ok(Folds { thinned: thin, pixels, folds })
+}

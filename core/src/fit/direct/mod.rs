@@ -1,0 +1,417 @@
+//! The maps themselves are optimised against the photos, under priors that a nearly flat surface made of few materials suggests.
+//!
+//! A handful of photos does not determine nine unknowns per pixel: fitted freely, every pixel explains its own photos and fails on new
+//! ones. What holds the fit together is that pixels of one colour are mostly one material. Specular albedo and roughness of a pixel are
+//! therefore those of its colour group plus a small deviation of its own, normals are a common tilt plus a small slope of their own, and
+//! only the diffuse albedo is (nearly) free. Where the photos say nothing (unlit, saturated), a parameter falls back to its group's.
+//!
+//! Adam minimises, over the diffuse logits `d`, slopes `m`, own offsets `o` and group offsets `g` of specular albedo and roughness, and the tilt `t`,
+//!
+//! ```text
+//! 1000 mean_r r^2 + u (sum (d - d0)^2 / sd^2 + sum m^2 / sm^2 + sum o^2 / so^2 + e P/G sum g^2 / sg^2 + sum t^2 / st^2) / 2
+//! ```
+//!
+//! with the residuals `r` of the gamma 2.2 codes of `R = 3 x photos x P` values, `u = 2000 sp^2 / R`, which makes the sum a negative log posterior under
+//! residuals of deviation `sp`, `P` pixels and `G` groups. The deviations stand in [`prior`], the way from parameters to maps in [`parameters`].
+//!
+//! Not from the paper.
+
+mod folds;
+mod groups;
+pub(super) mod light;
+mod parameters;
+mod prior;
+mod relief;
+mod start;
+
+use std::time::Instant;
+
+use crate::capture::Capture;
+use crate::error::Result;
+use crate::fit::optim::descent::{Descent, Settings, descend};
+use crate::fit::optim::holdout::{REHEARSAL_SIDE, grid};
+use crate::fit::options::FitOptions;
+use crate::fit::report::StageReport;
+use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, ROUGHNESS_PLANE};
+use crate::progress::{Control, Stage};
+use crate::render::{Target, photo_loss};
+
+pub(crate) use folds::{Folds, fit_folds};
+use groups::{Membership, colour_groups};
+use parameters::{GROUP_STEP, Layout, Parameters, TILT_STEP, inside, logit, logits};
+use prior::{FLAT, PHOTO_DEVIATION, PREDICTED, Prior, TILT_DEVIATION};
+pub(super) use relief::relief;
+use start::{GroupLobe, search};
+
+/// Colour groups, and how many at most where they only correct a prediction.
+const GROUPS: usize = 32;
+const CORRECTED_GROUPS: usize = 4;
+/// Rounds: after each, pixels are grouped anew by the diffuse albedo that was found, which highlights reach less than the first estimate, and the
+/// light of every photo is estimated. Steps of a round at least.
+const ROUNDS: usize = 4;
+const ROUND_STEPS: usize = 50;
+/// Where specular albedo starts and what it returns to without evidence: a dielectric's 4 %, in logits.
+const SPECULAR_LOGIT: f32 = -3.178;
+/// Likewise for its roughness: 0.5.
+const ROUGHNESS_LOGIT: f32 = 0.0;
+/// The three channels of one, and the other.
+const BASE: [f32; 4] = [SPECULAR_LOGIT, SPECULAR_LOGIT, SPECULAR_LOGIT, ROUGHNESS_LOGIT];
+/// In the search before the descent the prior of a group counts as if this share of its pixels spoke for it: a lobe that no photo shows must not be made up from noise.
+const SEARCH_EVIDENCE: f64 = 0.04;
+/// Adam's step length in the logits and slopes of pixels, and the share of it left at the last step.
+const LEARNING_RATE: f64 = 0.03;
+const FINAL_RATE: f64 = 0.02;
+/// The diffuse albedo that the search found is taken so far, and by so much above 0: a logit of 0 or 1 would be no start.
+const START_SHARE: f32 = 0.9;
+const START_LEAST: f32 = 0.005;
+
+/// What is fitted.
+#[derive(Clone, Debug)]
+pub(crate) struct DirectFit {
+    pub maps: Maps<f32>,
+    /// Factors on the stated light of the photos.
+    pub gains: Vec<f64>,
+}
+
+/// Fits isotropic maps to all photos of `capture`. Gives the relief, too, where it was taken.
+///
+/// `relief`: two planes of slopes that the surface may have beside leaning as a whole. Whether it has them or is flat is chosen by predicting
+/// photos that are left out.
+///
+/// # Errors
+/// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the photos' loss is not finite at the start.
+pub(crate) fn fit_direct(
+    capture: &Capture,
+    relief: Option<&[f32]>,
+    options: &FitOptions,
+    stages: &mut Vec<StageReport>,
+    control: &mut Control<'_>,
+) -> Result<(DirectFit, Option<Vec<f32>>)> {
+    let begun = Instant::now();
+    let steps = options.steps(Stage::Direct);
+    control.report(Stage::Direct, 0, steps, None)?;
+    let relief = match relief.filter(|_| capture.len() > 2) {
+        Some(relief) if relief::predicts_better(relief, capture, options.seed, control)? => Some(relief.to_vec()),
+        _ => None,
+    };
+    let mut problem = Problem::new(capture, super::targets(capture)?, options.seed)?;
+    problem.parameters.relief.clone_from(&relief);
+    let (direct, descent) = problem.fit_in_rounds(capture, steps, options.seed, control)?;
+    tracing::debug!("light of the photos: {:.3?}", direct.gains);
+    stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
+    Ok((direct, relief))
+}
+
+/// Corrects maps that were predicted where pixels of one colour are wrong together: specular albedo and roughness of a colour group and the common
+/// tilt follow the photos, what distinguishes the pixels of a group stays mostly as predicted. `relief` are the slopes of `maps`, less their mean.
+///
+/// For a single photo, which shows every pixel from one side only: over the whole image it still shows the shape of the highlight.
+///
+/// # Errors
+/// As [`fit_direct`].
+pub(crate) fn correct(
+    capture: &Capture,
+    maps: &Maps<f32>,
+    relief: Vec<f32>,
+    options: &FitOptions,
+    stages: &mut Vec<StageReport>,
+    control: &mut Control<'_>,
+) -> Result<Maps<f32>> {
+    let begun = Instant::now();
+    let steps = options.steps(Stage::Direct);
+    control.report(Stage::Direct, 0, steps, None)?;
+    let problem = Problem::near(capture, super::targets(capture)?, maps, relief, options.seed);
+    let (maps, descent) = problem.fit(steps, [0; 2], control)?;
+    stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
+    Ok(maps)
+}
+
+/// Estimated bytes that [`fit_direct`] takes for photos of this size: encoded photos, slopes, groups and starts of pixels, and either the search, the descent or,
+/// where there is a `relief`, the rehearsals, which hold the photos of a part of the pixels several times, and search and descend there.
+pub(crate) fn memory(photos: usize, size: (usize, usize), relief: bool) -> u64 {
+    // Parameters with gradient, best state and Adam's two moments; the maps, their gradient, those of the round before, and gradients by logits; as much
+    // more as the system was seen to keep of what is freed.
+    const DESCENT: u64 = 4 * (5 * 7 + 3 * 10 + 7 + 8);
+    // Slopes twice, memberships, diffuse albedo, specular albedo and roughness.
+    const PROBLEM: u64 = 4 * (2 * 2 + 3 + 4) + size_of::<Membership>() as u64;
+    let pixels = |(width, height): (usize, usize)| (width * height) as u64;
+    let encoded = |(width, height): (usize, usize)| Target::memory(width, height);
+    let working = |size: (usize, usize)| {
+        (DESCENT * pixels(size)).max(start::memory(photos) * rayon::current_num_threads() as u64)
+    };
+    let rehearsal = if relief && photos > 2 {
+        let ([across, down], _) = grid(size.0, size.1, REHEARSAL_SIDE);
+        let part = (across, down);
+        // The photos themselves, encoded, of every rehearsal, and of the one that runs.
+        let copies = (relief::FOLDS.min(photos) + 3) as u64 * photos as u64;
+        copies * encoded(part) + PROBLEM * pixels(part) + working(part)
+    } else {
+        0
+    };
+    photos as u64 * encoded(size) + PROBLEM * pixels(size) + working(size).max(rehearsal)
+}
+
+struct Problem {
+    targets: Vec<Target>,
+    patch_size: f64,
+    width: usize,
+    height: usize,
+    parameters: Parameters,
+    prior: Prior,
+    /// What the groups start from: offsets of specular albedo and roughness, in logits; and the tilt.
+    groups: Vec<[f32; 4]>,
+    tilt: [f64; 2],
+}
+
+impl Problem {
+    fn new(capture: &Capture, targets: Vec<Target>, seed: u64) -> Result<Self> {
+        let (width, height) = (capture.width(), capture.height());
+        let pixels = width * height;
+        let albedo = start::diffuse_start(capture);
+        let (memberships, groups) = colour_groups(&albedo, GROUPS, seed);
+        let layout = Layout { pixels, groups };
+        let square = |x: f64| x * x;
+        let unit = PHOTO_DEVIATION * PHOTO_DEVIATION;
+        let group = unit * SEARCH_EVIDENCE / FLAT.group.powi(2);
+        let off = |value: f64, start: f32| logit(value as f32) - start;
+        let prior = start::Prior {
+            specular: &|s| group * square(off(s, SPECULAR_LOGIT).into()),
+            roughness: &|r| group * square(off(r, ROUGHNESS_LOGIT).into()),
+            tilt: &|[x, y]| unit * (x * x + y * y) / (TILT_DEVIATION * TILT_DEVIATION) / pixels as f64,
+        };
+        let (lobes, tilt) = search(capture, &memberships, groups, &prior);
+        tracing::debug!("start: {lobes:?}, tilt {tilt:?}");
+        let diffuse = start::diffuse(capture, &memberships, &lobes, tilt);
+        let start = |value: f32| logit(START_SHARE * value + START_LEAST);
+        let diffuse = (0..3).flat_map(|c| diffuse.iter().map(move |d| start(d[c]))).collect();
+        let base = BASE.iter().flat_map(|&logit| std::iter::repeat_n(logit, pixels)).collect();
+        Ok(Self {
+            targets,
+            patch_size: capture.patch_size(),
+            width,
+            height,
+            parameters: Parameters { layout, memberships, base, relief: None },
+            prior: Prior { sigmas: FLAT, diffuse },
+            groups: lobes.iter().map(offsets).collect(),
+            tilt,
+        })
+    }
+
+    /// A problem that stays near `maps`.
+    fn near(capture: &Capture, targets: Vec<Target>, maps: &Maps<f32>, relief: Vec<f32>, seed: u64) -> Self {
+        let (width, height) = (capture.width(), capture.height());
+        let pixels = width * height;
+        let (memberships, groups) = colour_groups(diffuse_planes(maps), CORRECTED_GROUPS, seed);
+        Self {
+            targets,
+            patch_size: capture.patch_size(),
+            width,
+            height,
+            parameters: Parameters {
+                layout: Layout { pixels, groups },
+                memberships,
+                base: lobe_planes(maps).into_iter().flat_map(logits).collect(),
+                relief: Some(relief),
+            },
+            prior: Prior { sigmas: PREDICTED, diffuse: logits(diffuse_planes(maps)).collect() },
+            groups: vec![[0.0; 4]; groups],
+            tilt: [0.0; 2],
+        }
+    }
+
+    /// Groups pixels anew, by the diffuse albedo of `maps`, where the next descent begins.
+    fn regroup(&mut self, maps: &Maps<f32>, seed: u64) {
+        let (memberships, groups) = colour_groups(diffuse_planes(maps), GROUPS, seed);
+        let planes = lobe_planes(maps);
+        let mut sums = vec![([0.0f64; 4], 0.0f64); groups];
+        for (p, membership) in memberships.iter().enumerate() {
+            for &(group, weight) in membership {
+                let (sum, total) = &mut sums[group as usize];
+                *total += f64::from(weight);
+                for (sum, plane) in sum.iter_mut().zip(planes) {
+                    *sum += f64::from(weight) * f64::from(logit(inside(plane[p])));
+                }
+            }
+        }
+        let offset = |(sum, total): &([f64; 4], f64)| {
+            [0, 1, 2, 3].map(|i| (sum[i] / total.max(f64::MIN_POSITIVE)) as f32 - BASE[i])
+        };
+        self.groups = sums.iter().map(offset).collect();
+        self.prior.diffuse = logits(diffuse_planes(maps)).collect();
+        self.parameters.memberships = memberships;
+        self.parameters.layout.groups = groups;
+    }
+
+    /// Fits in rounds: after each, pixels are grouped anew and the light of the photos of `capture` is estimated.
+    fn fit_in_rounds(
+        &mut self,
+        capture: &Capture,
+        steps: usize,
+        seed: u64,
+        control: &mut Control<'_>,
+    ) -> Result<(DirectFit, Descent)> {
+        let rounds = (steps / ROUND_STEPS).clamp(1, ROUNDS);
+        let begins = |round: usize| round * steps / rounds;
+        let mut gains = vec![1.0; capture.len()];
+        let (mut maps, mut total) = self.fit(begins(1), [0, steps - begins(1)], control)?;
+        for round in 1..rounds {
+            gains = light::gains(capture, &maps)?;
+            for (target, shot) in self.targets.iter_mut().zip(light::shots(capture, &gains)) {
+                target.set_shot(shot);
+            }
+            self.regroup(&maps, seed);
+            let (begin, end) = (begins(round), begins(round + 1));
+            let (next, descent) = self.fit(end - begin, [begin, steps - end], control)?;
+            maps = next;
+            total.steps += descent.steps;
+            total.best_loss = descent.best_loss;
+            total.rollbacks += descent.rollbacks;
+        }
+        Ok((DirectFit { maps, gains }, total))
+    }
+
+    /// The maps after `steps` steps; `around` as in [`Settings`].
+    fn fit(&self, steps: usize, around: [usize; 2], control: &mut Control<'_>) -> Result<(Maps<f32>, Descent)> {
+        let mut params = self.start();
+        let settings = Settings {
+            stage: Stage::Direct,
+            steps,
+            learning_rate: LEARNING_RATE,
+            final_rate: FINAL_RATE,
+            early_stop: None,
+            around,
+        };
+        let mut maps = self.empty_maps()?;
+        let mut map_gradient = maps.clone();
+        let descent = descend(&mut params, &settings, control, |params, gradient, _| {
+            self.objective(params, &mut maps, gradient.map(|gradient| (gradient, &mut map_gradient)))
+        })?;
+        self.parameters.decode(&params, &mut maps);
+        Ok((maps, descent))
+    }
+
+    /// What is minimised, at `params`, whose maps are left in `maps`; and its gradient, with room for that by the maps.
+    fn objective(
+        &self,
+        params: &[f32],
+        maps: &mut Maps<f32>,
+        gradient: Option<(&mut [f32], &mut Maps<f32>)>,
+    ) -> Result<f64> {
+        let (layout, photos) = (self.parameters.layout, self.targets.len());
+        self.parameters.decode(params, maps);
+        let Some((gradient, map_gradient)) = gradient else {
+            let loss = photo_loss(maps, self.patch_size, &self.targets, None)?;
+            return Ok(loss + self.prior.cost(params, layout, photos, None));
+        };
+        let loss = photo_loss(maps, self.patch_size, &self.targets, Some(map_gradient))?;
+        self.parameters.chain(maps, map_gradient, gradient);
+        Ok(loss + self.prior.cost(params, layout, photos, Some(gradient)))
+    }
+
+    fn start(&self) -> Vec<f32> {
+        let layout = self.parameters.layout;
+        let mut params = vec![0.0; layout.len()];
+        params[..layout.slope()].copy_from_slice(&self.prior.diffuse);
+        for (g, offsets) in self.groups.iter().enumerate() {
+            for (i, offset) in offsets.iter().enumerate() {
+                params[layout.specular_group() + i * layout.groups + g] = offset / GROUP_STEP;
+            }
+        }
+        for c in 0..2 {
+            params[layout.tilt() + c] = self.tilt[c] as f32 / TILT_STEP;
+        }
+        params
+    }
+
+    fn empty_maps(&self) -> Result<Maps<f32>> {
+        let lobe = Lobe::Isotropic;
+        Maps::new(lobe, self.width, self.height, vec![0.0; lobe.planes() * self.parameters.layout.pixels])
+    }
+}
+
+/// The planes of specular albedo, and that of roughness.
+fn lobe_planes(maps: &Maps<f32>) -> [&[f32]; 4] {
+    let specular = maps.lobe().specular_plane();
+    [specular, specular + 1, specular + 2, ROUGHNESS_PLANE].map(|plane| maps.plane(plane))
+}
+
+/// The lobe that was found for a group, as offsets from what it returns to without evidence.
+fn offsets(lobe: &GroupLobe) -> [f32; 4] {
+    let [r, g, b] = lobe.specular;
+    let logits = [r, g, b, lobe.roughness].map(|value| logit(value as f32));
+    [0, 1, 2, 3].map(|i| logits[i] - BASE[i])
+}
+
+/// The three planes of diffuse albedo.
+fn diffuse_planes(maps: &Maps<f32>) -> &[f32] {
+    let pixels = maps.width() * maps.height();
+    &maps.data()[DIFFUSE_PLANE * pixels..][..3 * pixels]
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ops::ControlFlow;
+
+    use super::correct;
+    use crate::capture::{Capture, Photo};
+    use crate::color::Transfer;
+    use crate::fit::options::FitOptions;
+    use crate::image::Image;
+    use crate::maps::{Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
+    use crate::progress::{CancelToken, Control, Progress};
+    use crate::render::render_maps;
+    use crate::shot::Shot;
+
+    const SIZE: usize = 24;
+    const PIXELS: usize = SIZE * SIZE;
+
+    /// A grey and a red material side by side, with grain.
+    fn maps(roughness: f32, specular: f32) -> Maps<f32> {
+        let lobe = Lobe::Isotropic;
+        let mut maps = Maps::new(lobe, SIZE, SIZE, vec![0.0; lobe.planes() * PIXELS]).unwrap();
+        let first = lobe.specular_plane();
+        for (plane, out) in maps.data_mut().chunks_exact_mut(PIXELS).enumerate() {
+            for (p, out) in out.iter_mut().enumerate() {
+                let grain = 1.0 + 0.1 * (p as f32 * 2.3).sin();
+                *out = match plane {
+                    0 => 0.4 * grain,
+                    1 | 2 => grain * if p % SIZE < SIZE / 2 { 0.1 } else { 0.4 },
+                    _ if plane == NORMAL_PLANE + 2 => 1.0,
+                    ROUGHNESS_PLANE => roughness * grain,
+                    _ if plane >= first => specular,
+                    _ => 0.0,
+                };
+            }
+        }
+        maps
+    }
+
+    #[test]
+    fn one_photo_corrects_what_pixels_share() {
+        let shot = Shot { camera: [0.0, 0.0, 2.2], light: [0.0, 0.0, 2.2], light_intensity: [12.0; 3] };
+        let truth = maps(0.3, 0.06);
+        let image = Image::from_planar(SIZE, SIZE, 3, &render_maps(&truth, 2.0, &shot).unwrap()).unwrap();
+        let photo = Photo { name: "0".into(), shot, image, saturated: vec![0; PIXELS] };
+        let capture = Capture::new(vec![photo], 2.0, Transfer::Linear).unwrap();
+        let predicted = maps(0.6, 0.03);
+        let mut callback = |_: &Progress| ControlFlow::Continue(());
+        let mut control = Control::new(&mut callback, CancelToken::new());
+        let mut stages = Vec::new();
+        let options = FitOptions::default();
+        let corrected =
+            correct(&capture, &predicted, vec![0.0; 2 * PIXELS], &options, &mut stages, &mut control).unwrap();
+        assert!(stages[0].best_loss < 0.2 * stages[0].first_loss, "{stages:?}");
+        let off = |maps: &Maps<f32>, plane: usize| {
+            let pairs = maps.plane(plane).iter().zip(truth.plane(plane));
+            (pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>() / PIXELS as f32).sqrt()
+        };
+        for plane in [ROUGHNESS_PLANE, Lobe::Isotropic.specular_plane()] {
+            let (before, after) = (off(&predicted, plane), off(&corrected, plane));
+            assert!(after < 0.4 * before, "plane {plane}: {before} {after}");
+        }
+        // The highlight stays out of the diffuse albedo, and the grain of the roughness stays.
+        assert!(off(&corrected, 0) < 0.02, "{}", off(&corrected, 0));
+        let ratio = |p: usize| corrected.plane(ROUGHNESS_PLANE)[p] / predicted.plane(ROUGHNESS_PLANE)[p];
+        assert!((ratio(0) / ratio(1) - 1.0).abs() < 0.1, "{} {}", ratio(0), ratio(1));
+    }
+}

@@ -1,0 +1,190 @@
+//! From the parameters of [`direct`](super) to maps, and the gradient back.
+//!
+//! With the sigmoid `S`, per pixel: diffuse albedo `S(d)`; specular albedo and roughness `S(base + own + groups)`, where `groups` mixes the offsets of
+//! the pixel's two colour groups by its membership; normal proportional to `(slope + relief + tilt, 1)`.
+
+use rayon::prelude::*;
+
+use super::groups::Membership;
+use crate::brdf::real::{Kernel, Lanes, Real};
+use crate::maps::{DIFFUSE_PLANE, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
+
+/// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
+const ROUGHNESS_MIN: f32 = 0.02;
+/// Steps of group values are longer by this factor, and those of the common tilt shorter.
+pub(super) const GROUP_STEP: f32 = 2.0;
+pub(super) const TILT_STEP: f32 = 1.0 / 3.0;
+
+/// Where each kind of parameter lies in the flat vector that Adam moves.
+#[derive(Clone, Copy)]
+pub(super) struct Layout {
+    pub pixels: usize,
+    pub groups: usize,
+}
+
+impl Layout {
+    pub(super) const fn slope(self) -> usize {
+        3 * self.pixels
+    }
+    pub(super) const fn specular_own(self) -> usize {
+        5 * self.pixels
+    }
+    pub(super) const fn roughness_own(self) -> usize {
+        6 * self.pixels
+    }
+    pub(super) const fn specular_group(self) -> usize {
+        7 * self.pixels
+    }
+    pub(super) const fn roughness_group(self) -> usize {
+        self.specular_group() + 3 * self.groups
+    }
+    pub(super) const fn tilt(self) -> usize {
+        self.roughness_group() + self.groups
+    }
+    pub(super) const fn len(self) -> usize {
+        self.tilt() + 2
+    }
+}
+
+/// What turns parameters into maps.
+pub(super) struct Parameters {
+    pub layout: Layout,
+    pub memberships: Vec<Membership>,
+    /// Logits of specular albedo and roughness to which the offsets of groups and pixels are added, four planes.
+    pub base: Vec<f32>,
+    /// Slopes to which those of the pixels are added, two planes.
+    pub relief: Option<Vec<f32>>,
+}
+
+impl Parameters {
+    /// Plane `i` of the base, plus the offset of its group at every pixel, plus the pixel's own deviation.
+    fn mixed_logits<'s>(&'s self, i: usize, values: &'s [f32], own: &'s [f32]) -> impl Iterator<Item = f32> + 's {
+        let base = &self.base[i * self.layout.pixels..];
+        self.memberships.iter().zip(own).zip(base).map(move |((&[(a, of_a), (b, of_b)], own), base)| {
+            base + own + (of_a * values[a as usize] + of_b * values[b as usize]) * GROUP_STEP
+        })
+    }
+
+    /// The transpose of [`Parameters::mixed_logits`] with respect to the groups' values.
+    fn gather(&self, slopes: &[f32]) -> Vec<f32> {
+        let mut sums = vec![0.0f64; self.layout.groups];
+        for (membership, &slope) in self.memberships.iter().zip(slopes) {
+            for (group, weight) in membership {
+                sums[*group as usize] += f64::from(weight * slope);
+            }
+        }
+        sums.into_iter().map(|sum| sum as f32 * GROUP_STEP).collect()
+    }
+
+    /// Parameters to maps. Normals are left as (slope x, slope y, 1).
+    pub(super) fn decode(&self, params: &[f32], maps: &mut Maps<f32>) {
+        let layout = self.layout;
+        let n = layout.pixels;
+        let tilt = [params[layout.tilt()] * TILT_STEP, params[layout.tilt() + 1] * TILT_STEP];
+        let specular_plane = maps.lobe().specular_plane();
+        maps.data_mut().par_chunks_mut(n).enumerate().for_each(|(plane, out)| {
+            if plane < NORMAL_PLANE {
+                let logits = &params[(plane - DIFFUSE_PLANE) * n..][..n];
+                out.copy_from_slice(logits);
+                f32::run(Sigmoid { values: out, least: 0.0 });
+            } else if plane < NORMAL_PLANE + 2 {
+                let c = plane - NORMAL_PLANE;
+                let slopes = &params[layout.slope() + c * n..][..n];
+                out.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope + tilt[c]);
+                if let Some(relief) = &self.relief {
+                    out.iter_mut().zip(&relief[c * n..]).for_each(|(out, slope)| *out += slope);
+                }
+            } else if plane < ROUGHNESS_PLANE {
+                out.fill(1.0);
+            } else if plane < specular_plane {
+                let groups = &params[layout.roughness_group()..layout.tilt()];
+                let own = &params[layout.roughness_own()..layout.specular_group()];
+                let logits = self.mixed_logits(3, groups, own);
+                out.iter_mut().zip(logits).for_each(|(out, x)| *out = x);
+                f32::run(Sigmoid { values: out, least: ROUGHNESS_MIN });
+            } else {
+                let c = plane - specular_plane;
+                let groups = &params[layout.specular_group() + c * layout.groups..][..layout.groups];
+                let own = &params[layout.specular_own()..layout.roughness_own()];
+                let logits = self.mixed_logits(c, groups, own);
+                out.iter_mut().zip(logits).for_each(|(out, x)| *out = x);
+                f32::run(Sigmoid { values: out, least: 0.0 });
+            }
+        });
+    }
+
+    /// From the gradient with respect to the maps to that with respect to the parameters, which it overwrites.
+    pub(super) fn chain(&self, maps: &Maps<f32>, map_gradient: &Maps<f32>, gradient: &mut [f32]) {
+        let layout = self.layout;
+        let n = layout.pixels;
+        let specular_plane = maps.lobe().specular_plane();
+        // d loss / d logit of every plane that is a sigmoid.
+        let logit_gradient = |plane: usize| -> Vec<f32> {
+            let pairs = maps.plane(plane).iter().zip(map_gradient.plane(plane));
+            pairs.map(|(&value, &slope)| slope * value * (1.0 - value)).collect()
+        };
+        let planes: Vec<usize> = (DIFFUSE_PLANE..DIFFUSE_PLANE + 3)
+            .chain([ROUGHNESS_PLANE])
+            .chain(specular_plane..specular_plane + 3)
+            .collect();
+        let logits: Vec<Vec<f32>> = planes.into_par_iter().map(logit_gradient).collect();
+        let (diffuse, rest) = logits.split_at(3);
+        let (roughness, specular) = (&rest[0], &rest[1..]);
+
+        for (c, values) in diffuse.iter().enumerate() {
+            gradient[c * n..(c + 1) * n].copy_from_slice(values);
+        }
+        for c in 0..2 {
+            let values = map_gradient.plane(NORMAL_PLANE + c);
+            gradient[layout.slope() + c * n..][..n].copy_from_slice(values);
+            gradient[layout.tilt() + c] = sum(values.iter().copied()) * TILT_STEP;
+        }
+        let own = &mut gradient[layout.specular_own()..layout.roughness_own()];
+        for (p, own) in own.iter_mut().enumerate() {
+            *own = specular[0][p] + specular[1][p] + specular[2][p];
+        }
+        gradient[layout.roughness_own()..layout.specular_group()].copy_from_slice(roughness);
+        let shared: Vec<f32> = [&specular[0], &specular[1], &specular[2], roughness]
+            .into_par_iter()
+            .flat_map_iter(|slopes| self.gather(slopes))
+            .collect();
+        gradient[layout.specular_group()..layout.tilt()].copy_from_slice(&shared);
+    }
+}
+
+pub(super) fn logits(values: &[f32]) -> impl Iterator<Item = f32> + '_ {
+    values.iter().map(|&value| logit(inside(value)))
+}
+
+/// Makes values of logits, `1 / (1 + exp(-x))`, none below `least`.
+struct Sigmoid<'a> {
+    values: &'a mut [f32],
+    least: f32,
+}
+
+impl Kernel<f32> for Sigmoid<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes<Scalar = f32>>(self) {
+        let one = L::splat(1.0);
+        for values in self.values.chunks_mut(L::LANES) {
+            let power = (L::load(values) * L::splat(-std::f64::consts::LOG2_E)).exp2();
+            (one / (one + power)).max(L::splat(self.least.into())).store(values);
+        }
+    }
+}
+
+/// A value between 0 and 1 whose logit is finite.
+pub(super) fn inside(x: f32) -> f32 {
+    x.clamp(1e-4, 1.0 - 1e-4)
+}
+
+pub(super) fn logit(x: f32) -> f32 {
+    (x / (1.0 - x)).ln()
+}
+
+/// Sum in f64, in order.
+pub(super) fn sum(values: impl Iterator<Item = f32>) -> f32 {
+    values.map(f64::from).sum::<f64>() as f32
+}

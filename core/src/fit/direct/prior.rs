@@ -1,0 +1,79 @@
+//! The priors of [`direct`](super).
+
+use rayon::prelude::*;
+
+use super::parameters::{GROUP_STEP, Layout, TILT_STEP};
+
+/// Standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
+pub(super) const PHOTO_DEVIATION: f64 = 0.2;
+/// Standard deviation of a pixel's slope (tangent of the angle) from the common tilt.
+const SLOPE_DEVIATION: f64 = 0.01;
+/// Standard deviation of the common tilt, as a slope: a few degrees.
+pub(super) const TILT_DEVIATION: f64 = 0.1;
+/// Standard deviation of a pixel's specular albedo and roughness from its group's, in logits.
+const OWN_DEVIATION: f64 = 0.2;
+/// Parameters that one thread takes at a time.
+const PART: usize = 1 << 14;
+
+/// How far values may be from where they start.
+#[derive(Clone, Copy)]
+pub(super) struct PriorSigmas {
+    /// Standard deviation of a pixel's diffuse albedo, in logits.
+    pub diffuse: f64,
+    /// Standard deviation of a group's offsets, in logits.
+    pub group: f64,
+    /// The prior of a group counts as if this share of its pixels spoke for it.
+    pub evidence: f64,
+}
+
+/// From a flat start the diffuse albedo is free where a photo says anything, and groups may be anything.
+pub(super) const FLAT: PriorSigmas = PriorSigmas { diffuse: 5.0, group: 2.0, evidence: 0.002 };
+/// Near a prediction a pixel's diffuse albedo stays what was predicted: a single photo would put its highlight there.
+pub(super) const PREDICTED: PriorSigmas = PriorSigmas { diffuse: 0.3, group: 1.0, evidence: 0.02 };
+
+/// Gaussian priors on the parameters.
+pub(super) struct Prior {
+    pub sigmas: PriorSigmas,
+    /// Logits of the diffuse albedo at the start, three planes: its mean.
+    pub diffuse: Vec<f32>,
+}
+
+impl Prior {
+    /// Minus the logarithm of the priors in the units of the photo loss, whose gradient is added to `gradient`.
+    pub(super) fn cost(&self, params: &[f32], layout: Layout, photos: usize, mut gradient: Option<&mut [f32]>) -> f64 {
+        let n = layout.pixels;
+        // photo_loss is 1000 times a mean of squares; as a negative log likelihood it would be their sum over 2 sigma^2.
+        let residuals = (photos * 3 * n) as f64;
+        let unit = 1000.0 * 2.0 * PHOTO_DEVIATION * PHOTO_DEVIATION / residuals;
+        let PriorSigmas { diffuse, group, evidence } = self.sigmas;
+        let group_unit = evidence * unit * n as f64 / layout.groups as f64 / group.powi(2);
+        // (range, where it is pulled to, step factor, weight)
+        let terms = [
+            (0..layout.slope(), Some(&self.diffuse), 1.0, unit / diffuse.powi(2)),
+            (layout.slope()..layout.specular_own(), None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
+            (layout.specular_own()..layout.specular_group(), None, 1.0, unit / OWN_DEVIATION.powi(2)),
+            (layout.specular_group()..layout.tilt(), None, GROUP_STEP, group_unit),
+            (layout.tilt()..layout.len(), None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
+        ];
+        let mut total = 0.0;
+        for (range, mean, step, weight) in terms {
+            let weight = weight * f64::from(step * step);
+            let values = &params[range.clone()];
+            let off = |i: usize, value: f32| value - mean.map_or(0.0, |mean| mean[i]);
+            let squares = |(part, values): (usize, &[f32])| -> f64 {
+                let off = |(i, &value): (usize, &f32)| off(part * PART + i, value);
+                values.iter().enumerate().map(off).map(|off| f64::from(off * off)).sum()
+            };
+            let squares: Vec<f64> = values.par_chunks(PART).enumerate().map(squares).collect();
+            total += 0.5 * weight * squares.iter().sum::<f64>();
+            if let Some(gradient) = gradient.as_deref_mut() {
+                gradient[range].par_iter_mut().with_min_len(PART).zip(values).enumerate().for_each(
+                    |(i, (slope, &value))| {
+                        *slope += weight as f32 * off(i, value);
+                    },
+                );
+            }
+        }
+        total
+    }
+}
