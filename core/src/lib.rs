@@ -35,7 +35,7 @@ pub use color::{ColorSpace, Transfer};
 pub use deviations::Deviations;
 pub use error::{Error, Result};
 pub use export::{ExportOptions, ExportReport, ExportTarget, NormalConvention};
-pub use fit::options::{FitOptions, Method, Preset};
+pub use fit::options::{FitOptions, Method, Preset, Refine, Reflectance};
 
 pub use fit::{Fit, fit_material};
 pub use image::Image;

@@ -15,7 +15,7 @@ use crate::cancel::CancelToken;
 use crate::capture::{Capture, photo_files};
 use crate::color::ColorSpace;
 use crate::error::{Error, Result, printable};
-use crate::fit::options::{FitOptions, Method, Preset};
+use crate::fit::options::{FitOptions, Method, Preset, Refine, Reflectance};
 use crate::fit::report::FitReport;
 use crate::fit::verdict::Verdict;
 use crate::fit::{Fit, fit_material};
@@ -44,6 +44,12 @@ pub struct FitArgs {
     /// How to get from photos to maps; auto: network.
     #[arg(long, value_enum, default_value = "auto")]
     method: MethodArg,
+    /// What the surface is made of; auto: the simplest that predicts photos left out as well as the others do.
+    #[arg(long, value_enum, default_value = "auto")]
+    reflectance: ReflectanceArg,
+    /// What of the capture's statements may be corrected; auto: the light of each photo, where photos left out are predicted better with it.
+    #[arg(long, value_enum, default_value = "auto")]
+    refine: RefineArg,
     /// Other weights than those built in (safetensors).
     #[arg(long)]
     weights: Option<PathBuf>,
@@ -94,6 +100,22 @@ enum MethodArg {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
+enum ReflectanceArg {
+    Auto,
+    Diffuse,
+    Dielectric,
+    Isotropic,
+    Anisotropic,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum RefineArg {
+    Auto,
+    None,
+    Light,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
 enum FormatArg {
     Exr,
     Png16,
@@ -111,6 +133,18 @@ impl FitArgs {
             MethodArg::Auto => Method::Auto,
             MethodArg::Network => Method::Network,
             MethodArg::Direct => Method::Direct,
+        };
+        options.reflectance = match self.reflectance {
+            ReflectanceArg::Auto => Reflectance::Auto,
+            ReflectanceArg::Diffuse => Reflectance::Diffuse,
+            ReflectanceArg::Dielectric => Reflectance::Dielectric,
+            ReflectanceArg::Isotropic => Reflectance::Isotropic,
+            ReflectanceArg::Anisotropic => Reflectance::Anisotropic,
+        };
+        options.refine = match self.refine {
+            RefineArg::Auto => Refine::Auto,
+            RefineArg::None => Refine::None,
+            RefineArg::Light => Refine::Light,
         };
         options.latent_steps = self.latent_steps;
         options.adapter_steps = self.adapter_steps;
@@ -227,9 +261,21 @@ fn summary(report: &FitReport, out: &Path) -> String {
         .collect();
     let error = used.iter().sum::<f64>() / used.len() as f64;
     lines.push(format!("photos used: RMSE {error:.4} (gamma 2.2) over {}", used.len()));
+    lines.push(reflectance(report));
     lines.extend(verdict(&report.verdict));
     lines.push(format!("{} in {:.1} s", printable(out.display()), report.seconds));
     lines.join("\n")
+}
+
+/// What the surface was taken to be made of, and what decided that.
+fn reflectance(report: &FitReport) -> String {
+    let errors = report.reflectance_errors.iter();
+    let errors: Vec<String> = errors.map(|one| format!("{} {:.4}", one.reflectance.name(), one.error)).collect();
+    let decided = match errors.len() {
+        0 => String::new(),
+        _ => format!(" (photos left out are missed by: {})", errors.join(", ")),
+    };
+    format!("reflectance: {}{decided}; light: {}", report.reflectance.name(), report.refine.name())
 }
 
 /// The verdict, and why it is not better.

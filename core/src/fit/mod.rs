@@ -3,6 +3,8 @@
 //!
 //! [`fit_material`] reads as what happens: a plan (photos, route, memory), a run (the stages, one after the other), a report with a verdict.
 
+mod anisotropy;
+pub mod choice;
 mod conditions;
 mod contradiction;
 mod direct;
@@ -22,13 +24,13 @@ use std::time::Instant;
 
 use crate::capture::{Capture, Photo};
 use crate::deviations::Deviations;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::material::Material;
 use crate::nn::Model;
 use crate::pool::pool;
 use crate::progress::ProgressFn;
 use crate::render::Target;
-use options::{FitOptions, Method};
+use options::{FitOptions, Method, Reflectance};
 use plan::Route;
 use report::FitReport;
 
@@ -83,6 +85,13 @@ fn fit_stated(
         (Method::Network | Method::Auto, None) => Some(&**embedded.insert(Model::embedded()?)),
     };
     let route = Route::of(model, capture.len())?;
+    if matches!(route, Route::Paper(_)) && options.reflectance != Reflectance::Auto {
+        let name = options.reflectance.name();
+        return Err(Error::invalid(
+            "reflectance",
+            format!("expected auto, got {name}: a network of the paper's form has its own"),
+        ));
+    }
     let pool = pool(options.threads)?;
     let memory_estimate = pool.install(|| plan::memory(capture, held, model, route, options.max_memory))?;
     run::on_pool(&pool, options.cancel.clone(), progress, |control| {

@@ -74,6 +74,62 @@ pub enum Method {
     Direct,
 }
 
+/// What a surface is taken to be made of. All maps are written in any case.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum Reflectance {
+    /// The simplest that predicts photos left out as well as the others do; with one or two photos, [`Reflectance::Isotropic`].
+    #[default]
+    Auto,
+    /// Lambert's law alone: specular albedo 0, roughness 1.
+    Diffuse,
+    /// A specular albedo near 4 %, the same for all channels.
+    Dielectric,
+    /// Any specular albedo, metals too.
+    Isotropic,
+    /// Two roughnesses and a tangent: brushed metal, satin, hair.
+    Anisotropic,
+}
+
+impl Reflectance {
+    /// The name used in files, options and messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Diffuse => "diffuse",
+            Self::Dielectric => "dielectric",
+            Self::Isotropic => "isotropic",
+            Self::Anisotropic => "anisotropic",
+        }
+    }
+}
+
+/// What of the capture's own statements a fit may correct.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum Refine {
+    /// [`Refine::Light`] where photos left out are predicted better with it, else [`Refine::None`].
+    #[default]
+    Auto,
+    /// Nothing: the stated light exactly.
+    None,
+    /// A factor on the stated light of each photo.
+    Light,
+}
+
+impl Refine {
+    /// The name used in files, options and messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::None => "none",
+            Self::Light => "light",
+        }
+    }
+}
+
 /// Options of [`fit_material`](crate::fit_material).
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
@@ -82,6 +138,10 @@ pub struct FitOptions {
     pub preset: Preset,
     /// The way from photos to maps.
     pub method: Method,
+    /// What the surface is taken to be made of; a network of the paper's form has its own.
+    pub reflectance: Reflectance,
+    /// What of the capture's statements may be corrected.
+    pub refine: Refine,
     /// Steps on the latent code, instead of the preset's.
     pub latent_steps: Option<usize>,
     /// Steps on the adapters, instead of the preset's.
@@ -140,6 +200,20 @@ impl FitOptions {
     #[must_use]
     pub fn method(mut self, method: Method) -> Self {
         self.method = method;
+        self
+    }
+
+    /// Sets [`FitOptions::reflectance`].
+    #[must_use]
+    pub fn reflectance(mut self, reflectance: Reflectance) -> Self {
+        self.reflectance = reflectance;
+        self
+    }
+
+    /// Sets [`FitOptions::refine`].
+    #[must_use]
+    pub fn refine(mut self, refine: Refine) -> Self {
+        self.refine = refine;
         self
     }
 

@@ -7,10 +7,11 @@ use std::time::Instant;
 use crate::capture::{Assumed, Capture, Photo};
 use crate::color::Transfer;
 use crate::error::Result;
+use crate::fit::choice::Comparison;
 use crate::fit::conditions;
 use crate::fit::optim::descent::Descent;
 use crate::fit::options::FitOptions;
-use crate::fit::options::{Method, Preset};
+use crate::fit::options::{Method, Preset, Refine, Reflectance};
 use crate::fit::plan::Selection;
 use crate::fit::run::State;
 use crate::fit::verdict::{self, Evidence, Verdict};
@@ -61,6 +62,13 @@ pub struct FitReport {
     pub method: Method,
     /// The preset asked for.
     pub preset: Preset,
+    /// What the surface was taken to be made of.
+    pub reflectance: Reflectance,
+    /// Where that was chosen by photos left out: the error under each, simplest first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub reflectance_errors: Vec<Comparison>,
+    /// What of the capture's statements was corrected.
+    pub refine: Refine,
     /// The seed.
     pub seed: u64,
     /// Threads used.
@@ -110,7 +118,7 @@ impl FitReport {
         started: Instant,
     ) -> Result<Self> {
         let Selection { contradicting, kept, route } = selection;
-        let State { maps, gains, weighting, expected, stages, .. } = state;
+        let State { maps, gains, weighting, expected, choice, stages, .. } = state;
         let (mut photo_errors, mut shifts) = (Vec::new(), Vec::new());
         for photo in capture.photos() {
             let rendering = render(material, &photo.shot)?;
@@ -138,6 +146,9 @@ impl FitReport {
         Ok(Self {
             method: route.method(),
             preset: options.preset,
+            reflectance: choice.reflectance,
+            reflectance_errors: choice.comparisons,
+            refine: choice.refine,
             seed: options.seed,
             threads: rayon::current_num_threads(),
             photos: capture.photos().iter().map(name).collect(),

@@ -3,6 +3,8 @@
 use std::ops::ControlFlow;
 use std::sync::mpsc;
 
+use super::anisotropy;
+use super::choice::Choice;
 use super::direct::{DirectFit, Folds, correct, fit_direct, fit_folds, light, relief};
 use super::encode::{Prediction, encode};
 use super::finish::{Finished, LEFT_OUT, Rehearsal, Start, Weighting, finish};
@@ -12,10 +14,10 @@ use crate::cancel::CancelToken;
 use crate::capture::Capture;
 use crate::deviations::Deviations;
 use crate::error::Result;
-use crate::fit::options::FitOptions;
+use crate::fit::options::{FitOptions, Refine, Reflectance};
 use crate::fit::report::StageReport;
 use crate::fit::verdict::Expected;
-use crate::maps::Maps;
+use crate::maps::{Lobe, Maps};
 use crate::nn::PhotoGraph;
 use crate::progress::{Control, Progress, ProgressFn, Stage};
 use crate::raw;
@@ -30,12 +32,26 @@ pub(crate) struct State {
     pub weighting: Option<Weighting>,
     /// Expected errors of a new photo, where some were left out or the finish says how sure it is.
     pub expected: Option<Expected>,
+    /// What the scene was found to require.
+    pub choice: Choice,
     pub stages: Vec<StageReport>,
 }
 
 impl State {
     fn new(maps: Maps<f32>, gains: Option<Vec<f64>>, stages: Vec<StageReport>) -> Self {
-        Self { maps, gains, deviations: None, weighting: None, expected: None, stages }
+        let reflectance = match maps.lobe() {
+            Lobe::Isotropic => Reflectance::Isotropic,
+            Lobe::Anisotropic => Reflectance::Anisotropic,
+        };
+        Self {
+            maps,
+            gains,
+            deviations: None,
+            weighting: None,
+            expected: None,
+            choice: Choice { reflectance, refine: Refine::None, comparisons: Vec::new() },
+            stages,
+        }
     }
 }
 
@@ -50,25 +66,31 @@ pub(crate) fn run(
     control: &mut Control<'_>,
 ) -> Result<State> {
     let mut stages = Vec::new();
-    match route {
-        Route::Paper(network) => {
-            let maps = fit_network(capture, &super::targets(capture)?, network, options, &mut stages, control)?;
-            Ok(State::new(maps, None, stages))
-        }
-        Route::Direct => {
+    if let Route::Paper(network) = route {
+        let maps = fit_network(capture, &super::targets(capture)?, network, options, &mut stages, control)?;
+        return Ok(State::new(maps, None, stages));
+    }
+    let choice = Choice::new(capture, options, control)?;
+    let Choice { reflectance, refine, .. } = choice;
+    let options = &FitOptions { reflectance, refine, ..options.clone() };
+    let state = match route {
+        // Left above.
+        Route::Direct | Route::Paper(_) => {
             let (DirectFit { maps, gains }, _) = fit_direct(capture, None, options, &mut stages, control)?;
             let expected = fit_folds(capture, None, LEFT_OUT, options, control)?.expected()?;
-            Ok(State { expected, ..State::new(maps, Some(gains), stages) })
+            let gains = (refine != Refine::None).then_some(gains);
+            State { expected, ..State::new(maps, gains, stages) }
         }
         Route::Graph(graph) => {
             let prediction = encode(capture, graph, &mut stages, control)?;
             let (state, folds) = share(capture, &prediction, options, stages, control)?;
-            if options.steps(Stage::Finish) == 0 {
-                return Ok(state);
+            match options.steps(Stage::Finish) {
+                0 => state,
+                _ => finish_maps(capture, graph, &prediction, state, folds, options, control)?,
             }
-            finish_maps(capture, graph, &prediction, state, folds, options, control)
         }
-    }
+    };
+    Ok(State { choice, ..state })
 }
 
 /// Stage direct beside a prediction: what pixels have in common is fitted to the photos, from a flat start or, where there is a single photo, near the
@@ -84,7 +106,8 @@ fn share(
         return Ok((State::new(prediction.maps.clone(), None, stages), None));
     }
     let relief = relief(&prediction.maps);
-    if capture.len() == 1 {
+    // One photo does not show both widths of a lobe: the prediction would be no start.
+    if capture.len() == 1 && options.reflectance != Reflectance::Anisotropic {
         let maps = correct(capture, &prediction.maps, relief, options, &mut stages, control)?;
         return Ok((State::new(maps, None, stages), None));
     }
@@ -93,7 +116,8 @@ fn share(
         0 => None,
         _ => Some(fit_folds(capture, taken.as_deref(), LEFT_OUT, options, control)?),
     };
-    Ok((State::new(direct.maps, Some(direct.gains), stages), folds))
+    let gains = (options.refine != Refine::None).then_some(direct.gains);
+    Ok((State::new(direct.maps, gains, stages), folds))
 }
 
 /// Stage finish: every pixel by itself, near the maps of `state`.
@@ -114,15 +138,25 @@ fn finish_maps(
         None => Rehearsal::of_prediction(capture, &prediction.raw),
     };
     let mut shared = prediction.raw.clone();
-    raw::encode(&state.maps, floor, &mut shared);
+    let (round, anisotropy) = anisotropy::split(&state.maps);
+    raw::encode(&round, floor, &mut shared);
     let Prediction { raw: network, deviation, .. } = prediction;
-    let start = Start { raw: &shared, network, deviation, rehearsal: &rehearsal };
+    let start = Start {
+        raw: &shared,
+        network,
+        deviation,
+        anisotropy: &anisotropy,
+        reflectance: options.reflectance,
+        rehearsal: &rehearsal,
+    };
     let shots = light::shots(capture, state.gains.as_deref().unwrap_or(&vec![1.0; capture.len()]));
     let steps = options.steps(Stage::Finish);
     let Finished { raw, deviation, weighting, expected } =
         finish(capture, &shots, start, f64::from(floor), steps, &mut state.stages, control)?;
-    graph.decoding()?.decode(&raw, &mut state.maps)?;
-    let deviations = Some(raw::deviations(&state.maps, &deviation)?);
+    let mut round = round.into_owned();
+    graph.decoding()?.decode(&raw, &mut round)?;
+    let deviations = Some(raw::deviations(&round, &deviation)?);
+    state.maps = anisotropy::join(round, &anisotropy)?;
     Ok(State { deviations, weighting: Some(weighting), expected: Some(expected), ..state })
 }
 

@@ -4,7 +4,11 @@
 //! the material stands in [`Geometry`], and derivatives come out as rows of a Jacobian instead of as the gradient of a loss. It is written for
 //! [`Lanes`]: several pixels at a time. What touches a bundle is a loop or an inlined function, never a closure: those would be compiled for any processor.
 
-#![allow(clippy::needless_range_loop, reason = "closures would not be compiled for the processor's lanes")]
+#![allow(
+    clippy::manual_map,
+    clippy::needless_range_loop,
+    reason = "closures would not be compiled for the processor's lanes"
+)]
 
 use crate::brdf::real::{LANES_MAX, Lanes, Real, cross, dot, scale};
 use crate::capture::Capture;
@@ -40,7 +44,34 @@ pub struct Surface<L> {
     /// GGX width, the square of the perceptual roughness.
     alpha: L,
     d_alpha: L,
+    /// Of a lobe that is not round.
+    stretch: Option<Stretch<L>>,
 }
+
+/// A lobe that is narrower by `factor` along the tangent and wider by it across.
+#[derive(Clone, Copy, Debug)]
+struct Stretch<L> {
+    factor: L,
+    /// The tangent's x and y; it lies in the plane of the patch.
+    tangent: [L; 2],
+}
+
+impl<L: Lanes> Stretch<L> {
+    /// Of the vector that [`crate::fit::anisotropy`] describes.
+    #[inline(always)]
+    fn new([p, q]: [L; 2]) -> Self {
+        let (zero, one, half) = (L::splat(0.0), L::splat(1.0), L::splat(0.5));
+        let length = p.mul_add(p, q * q).sqrt();
+        let cosine2 = p / length.max(L::splat(ROUND));
+        let cosine = (half * (one + cosine2)).max(zero).sqrt();
+        let sine = (half * (one - cosine2)).max(zero).sqrt();
+        let sine = L::select(zero.gt(q), zero - sine, sine);
+        Self { factor: (length * L::splat(std::f64::consts::LOG2_E)).exp2(), tangent: [cosine, sine] }
+    }
+}
+
+/// Length below which an anisotropy has no direction.
+const ROUND: f64 = 1e-6;
 
 /// See [`Geometry::parts`].
 #[derive(Clone, Copy, Debug)]
@@ -147,35 +178,44 @@ impl<L: Lanes> Geometry<L> {
         Parts { diffuse: scale(self.irradiance, matt), specular: scale(self.irradiance, lobe), fresnel: self.fresnel }
     }
 
+    /// [`Geometry::parts`] of an anisotropic lobe with these GGX widths along and across `tangent`, of which the part along the normal does not count.
+    #[inline(always)]
+    pub fn anisotropic_parts(&self, normal: [L; 3], tangent: [L; 3], alpha: [L; 2]) -> Parts<L> {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let bitangent = unit(cross(normal, tangent));
+        let tangent = cross(bitangent, normal);
+        let (n_dot_l, n_dot_v) = (dot(normal, self.light), dot(normal, self.view));
+        let facing = n_dot_l.gt(zero) & n_dot_v.gt(zero);
+        let half = [dot(tangent, self.half), dot(bitangent, self.half), dot(normal, self.half)];
+        let (x, y) = (half[0] / alpha[0], half[1] / alpha[1]);
+        let inverse = one / x.mul_add(x, y.mul_add(y, half[2] * half[2]));
+        let distribution = L::splat(INVERSE_PI) * inverse * inverse / (alpha[0] * alpha[1]);
+        let mut masked = distribution;
+        let (directions, cosines) = ([self.view, self.light], [n_dot_v, n_dot_l]);
+        for k in 0..2 {
+            let (direction, cosine) = (directions[k], cosines[k]);
+            let (x, y) = (alpha[0] * dot(tangent, direction), alpha[1] * dot(bitangent, direction));
+            masked = masked / (cosine + x.mul_add(x, y.mul_add(y, cosine * cosine)).sqrt());
+        }
+        let lobe = L::select(facing, masked * n_dot_l, zero);
+        let matt = L::select(facing, n_dot_l * L::splat(INVERSE_PI), zero);
+        Parts { diffuse: scale(self.irradiance, matt), specular: scale(self.irradiance, lobe), fresnel: self.fresnel }
+    }
+
     /// What the photo shows of `surface`.
     #[inline(always)]
     pub fn observe(&self, surface: &Surface<L>) -> CodeJacobian<L> {
-        let (zero, one, two, four) = (L::splat(0.0), L::splat(1.0), L::splat(2.0), L::splat(4.0));
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
         let Surface { normal, alpha, .. } = *surface;
         let (n_dot_l, n_dot_v) = (dot(normal, self.light), dot(normal, self.view));
         let facing = n_dot_l.gt(zero) & n_dot_v.gt(zero);
-        let h = self.half;
-        let n_dot_h = dot(normal, h);
-        // |n x h|^2 is 1 - (n.h)^2.
-        let across = cross(normal, h);
-        let (gain, q, a, b) = gain(dot(across, across), n_dot_l, n_dot_v, alpha);
-        let lobe = gain * n_dot_l;
-
         // By the components of the normal, z following from x and y.
         let (tx, ty) = (normal[0] / normal[2], normal[1] / normal[2]);
-        let (d_l, d_v, d_h) = (along(self.light, tx, ty), along(self.view, tx, ty), along(h, tx, ty));
-        let narrow = (one - alpha) * (one + alpha);
-        let of_q = four * n_dot_h * narrow / q;
-        let masked = L::splat(0.5).mul_add(-alpha, one);
-        let mut d_normal = [zero; 2];
-        for i in 0..2 {
-            let of_masking = masked * (d_v[i] / a + d_l[i] / b);
-            d_normal[i] = lobe * (of_q * d_h[i] - of_masking) + gain * d_l[i];
-        }
-        let d_alpha = lobe
-            * (two / alpha
-                - four * alpha * n_dot_h * n_dot_h / q
-                - L::splat(0.5) * ((one - n_dot_v) / a + (one - n_dot_l) / b));
+        let d_l = along(self.light, tx, ty);
+        let Lobe { lobe, d_normal, d_alpha } = match surface.stretch {
+            None => self.round_lobe(normal, alpha, [n_dot_l, n_dot_v], [tx, ty]),
+            Some(stretch) => self.stretched_lobe(normal, alpha, stretch, [n_dot_l, n_dot_v], [tx, ty]),
+        };
 
         let matt_part = n_dot_l * L::splat(INVERSE_PI);
         let mut seen = CodeJacobian { code: [zero; 3], jacobian: [[zero; 5]; 3] };
@@ -199,6 +239,114 @@ impl<L: Lanes> Geometry<L> {
         }
         seen
     }
+
+    /// A round lobe at a unit normal whose slopes are `tx` and `ty`.
+    #[inline(always)]
+    fn round_lobe(&self, normal: [L; 3], alpha: L, [n_dot_l, n_dot_v]: [L; 2], [tx, ty]: [L; 2]) -> Lobe<L> {
+        let (zero, one, two, four) = (L::splat(0.0), L::splat(1.0), L::splat(2.0), L::splat(4.0));
+        let h = self.half;
+        let n_dot_h = dot(normal, h);
+        // |n x h|^2 is 1 - (n.h)^2.
+        let across = cross(normal, h);
+        let (gain, q, a, b) = gain(dot(across, across), n_dot_l, n_dot_v, alpha);
+        let lobe = gain * n_dot_l;
+        let (d_l, d_v, d_h) = (along(self.light, tx, ty), along(self.view, tx, ty), along(h, tx, ty));
+        let narrow = (one - alpha) * (one + alpha);
+        let of_q = four * n_dot_h * narrow / q;
+        let masked = L::splat(0.5).mul_add(-alpha, one);
+        let mut d_normal = [zero; 2];
+        for i in 0..2 {
+            let of_masking = masked * (d_v[i] / a + d_l[i] / b);
+            d_normal[i] = lobe * (of_q * d_h[i] - of_masking) + gain * d_l[i];
+        }
+        let d_alpha = lobe
+            * (two / alpha
+                - four * alpha * n_dot_h * n_dot_h / q
+                - L::splat(0.5) * ((one - n_dot_v) / a + (one - n_dot_l) / b));
+        Lobe { lobe, d_normal, d_alpha }
+    }
+
+    /// Likewise one that is not round: anisotropic GGX, separable Smith.
+    #[inline(always)]
+    fn stretched_lobe(
+        &self,
+        normal: [L; 3],
+        alpha: L,
+        stretch: Stretch<L>,
+        [n_dot_l, n_dot_v]: [L; 2],
+        [tx, ty]: [L; 2],
+    ) -> Lobe<L> {
+        let (zero, one, two) = (L::splat(0.0), L::splat(1.0), L::splat(2.0));
+        let alphas = [alpha / stretch.factor, alpha * stretch.factor];
+        let stored = [stretch.tangent[0], stretch.tangent[1], zero];
+        let across = cross(normal, stored);
+        let length = dot(across, across).sqrt();
+        let bitangent = scale(across, one / length);
+        let tangent = cross(bitangent, normal);
+        // Moving the normal along the bitangent, the stored tangent held, turns the frame about the normal by so much.
+        let turn = dot(normal, stored) / length;
+
+        let half = [dot(tangent, self.half), dot(bitangent, self.half), dot(normal, self.half)];
+        let [x, y] = [half[0] / alphas[0], half[1] / alphas[1]];
+        let wide = x.mul_add(x, y * y);
+        let q = half[2].mul_add(half[2], wide);
+        let mut value = L::splat(INVERSE_PI) / (alphas[0] * alphas[1] * q * q);
+        // Derivatives of the logarithm of the lobe without its cosine.
+        let mut d_ln_alpha = L::splat(4.0) * wide / q - two;
+        let mut d_ln = [zero; 2];
+        let moves = [[one, zero, zero - tx], [zero, one, zero - ty]];
+        for i in 0..2 {
+            let along = dot(tangent, moves[i]);
+            let across = dot(bitangent, moves[i]);
+            let turned = zero - across * turn;
+            let d_t = across_turn(half[1], turned, half[2], along);
+            let d_b = zero - half[0] * turned - half[2] * across;
+            let d_n = dot(self.half, moves[i]);
+            let d_q = two * (x * d_t / alphas[0] + y * d_b / alphas[1] + half[2] * d_n);
+            d_ln[i] = zero - two * d_q / q;
+        }
+        let (directions, cosines) = ([self.view, self.light], [n_dot_v, n_dot_l]);
+        for k in 0..2 {
+            let (direction, cosine) = (directions[k], cosines[k]);
+            let [t, b] = [dot(tangent, direction), dot(bitangent, direction)];
+            let [x, y] = [alphas[0] * t, alphas[1] * b];
+            let wide = x.mul_add(x, y * y);
+            let lambda = cosine.mul_add(cosine, wide).sqrt();
+            let inverse = one / (cosine + lambda);
+            value = value * inverse;
+            d_ln_alpha = d_ln_alpha - wide * inverse / lambda;
+            for i in 0..2 {
+                let along = dot(tangent, moves[i]);
+                let across = dot(bitangent, moves[i]);
+                let turned = zero - across * turn;
+                let d_t = across_turn(b, turned, cosine, along);
+                let d_b = zero - t * turned - cosine * across;
+                let d_n = dot(direction, moves[i]);
+                let d_lambda = (x * alphas[0] * d_t + y * alphas[1] * d_b + cosine * d_n) / lambda;
+                d_ln[i] = d_ln[i] - (d_n + d_lambda) * inverse;
+            }
+        }
+        let lobe = value * n_dot_l;
+        let d_l = along(self.light, tx, ty);
+        Lobe {
+            lobe,
+            d_normal: [lobe * d_ln[0] + value * d_l[0], lobe * d_ln[1] + value * d_l[1]],
+            d_alpha: lobe * d_ln_alpha / alpha,
+        }
+    }
+}
+
+/// How a direction's part along the tangent changes where the frame turns by `turned` about the normal and leans by `along` towards the tangent.
+#[inline(always)]
+fn across_turn<L: Lanes>(bitangent_part: L, turned: L, normal_part: L, along: L) -> L {
+    bitangent_part * turned - normal_part * along
+}
+
+/// Distribution and masking over four times the cosines, times the light's cosine; its derivatives by the normal's x and y and by alpha.
+struct Lobe<L> {
+    lobe: L,
+    d_normal: [L; 2],
+    d_alpha: L,
 }
 
 /// How the product of `w` with the normal changes with the normal's x and y, where z follows from them.
@@ -227,9 +375,9 @@ fn power<L: Lanes>(raw: L) -> (L, L) {
 }
 
 impl<L: Lanes> Surface<L> {
-    /// The surface of raw values within their limits.
+    /// The surface of raw values within their limits, its lobe round or with this anisotropy.
     #[inline(always)]
-    pub fn new(raw: &[L; RAW]) -> Self {
+    pub fn new(raw: &[L; RAW], anisotropy: Option<[L; 2]>) -> Self {
         let zero = [L::splat(0.0); 3];
         let (mut diffuse, mut specular, mut d_diffuse, mut d_specular) = (zero, zero, zero, zero);
         for c in 0..3 {
@@ -248,6 +396,10 @@ impl<L: Lanes> Surface<L> {
             normal: [x, y, z2.sqrt()],
             alpha: roughness * roughness,
             d_alpha: L::splat(2.0) * roughness * d_roughness,
+            stretch: match anisotropy {
+                None => None,
+                Some(vector) => Some(Stretch::new(vector)),
+            },
         }
     }
 }
@@ -255,7 +407,8 @@ impl<L: Lanes> Surface<L> {
 #[cfg(test)]
 mod tests {
     use super::{Geometry, RAW, Surface};
-    use crate::maps::{Lobe, Maps};
+    use crate::fit::anisotropy;
+    use crate::maps::{Lobe, Maps, ROUGHNESS_PLANE};
     use crate::nn::Decoding;
     use crate::render::{encode_radiance, render_maps};
     use crate::shot::Shot;
@@ -285,10 +438,37 @@ mod tests {
             Decoding::new(Lobe::Isotropic).decode(&raw, &mut maps).unwrap();
             for shot in shots() {
                 let expected = render_maps(&maps, 2.0, &shot).unwrap();
-                let seen = Geometry::<f64>::new(&shot, 1.0, [0.0, 0.0]).observe(&Surface::new(&raw));
+                let seen = Geometry::<f64>::new(&shot, 1.0, [0.0, 0.0]).observe(&Surface::new(&raw, None));
                 for c in 0..3 {
                     let expected: f64 = encode_radiance(expected[c]);
                     assert!((seen.code[c] - expected).abs() < 1e-6 * (1.0 + expected), "{raw:?} {shot:?}");
+                }
+            }
+        }
+    }
+
+    /// Anisotropies of which the last is nearly none.
+    const VECTORS: [[f64; 2]; 4] = [[0.8, 0.3], [-0.5, -0.9], [-0.7, 0.0], [1e-3, -2e-3]];
+
+    #[test]
+    fn stretched_lobes_agree_with_the_renderer() {
+        let mut rng = fastrand::Rng::with_seed(9);
+        for vector in VECTORS.iter().cycle().take(48) {
+            let raw = random(&mut rng);
+            let mut maps = Maps::new(Lobe::Isotropic, 1, 1, vec![0.0f32; 10]).unwrap();
+            Decoding::new(Lobe::Isotropic).decode(&raw.map(|value| value as f32), &mut maps).unwrap();
+            let maps = anisotropy::join(maps, &[vector.map(|value| value as f32)]).unwrap();
+            if maps.plane(ROUGHNESS_PLANE + 1)[0] >= 1.0 {
+                // At its limit the lobe of maps is narrower.
+                continue;
+            }
+            for shot in shots() {
+                let expected = render_maps(&maps, 2.0, &shot).unwrap();
+                let geometry = Geometry::<f64>::new(&shot, 1.0, [0.0, 0.0]);
+                let seen = geometry.observe(&Surface::new(&raw, Some(*vector)));
+                for c in 0..3 {
+                    let expected = f64::from(encode_radiance(expected[c]));
+                    assert!((seen.code[c] - expected).abs() < 2e-5 * (1.0 + expected), "{raw:?} {vector:?} {shot:?}");
                 }
             }
         }
@@ -298,7 +478,7 @@ mod tests {
     fn parts_add_up() {
         let mut rng = fastrand::Rng::with_seed(8);
         for _ in 0..50 {
-            let surface = Surface::new(&random(&mut rng));
+            let surface = Surface::new(&random(&mut rng), None);
             for shot in shots() {
                 let geometry = Geometry::<f64>::new(&shot, 1.0, [0.3, -0.4]);
                 let parts = geometry.parts(surface.normal, surface.alpha);
@@ -317,16 +497,18 @@ mod tests {
     fn the_jacobian_is_that_of_finite_differences() {
         let mut rng = fastrand::Rng::with_seed(6);
         let step = 1e-6;
+        let mut vectors = VECTORS.into_iter().map(Some).chain([None]).cycle();
         for _ in 0..50 {
             let raw = random(&mut rng);
             for shot in shots() {
                 let geometry = Geometry::<f64>::new(&shot, 1.0, [0.3, -0.4]);
-                let seen = geometry.observe(&Surface::new(&raw));
+                let vector = vectors.next().unwrap();
+                let seen = geometry.observe(&Surface::new(&raw, vector));
                 for i in 0..RAW {
                     let at = |by: f64| {
                         let mut moved = raw;
                         moved[i] += by;
-                        geometry.observe(&Surface::new(&moved)).code
+                        geometry.observe(&Surface::new(&moved, vector)).code
                     };
                     let (above, below) = (at(step), at(-step));
                     for c in 0..3 {

@@ -4,12 +4,12 @@ use super::{DirectFit, Problem, light};
 use crate::capture::Capture;
 use crate::error::Result;
 use crate::fit::optim::holdout::{REHEARSAL_SIDE, left_out, thinned, thinned_planes};
-use crate::fit::options::FitOptions;
+use crate::fit::options::{FitOptions, Refine};
 use crate::fit::verdict::Expected;
 use crate::image::Image;
 use crate::metrics::{photo_rmse, photo_rmse_smooth_gain};
-use crate::progress::{Control, Stage};
-use crate::render::render_maps;
+use crate::progress::Control;
+use crate::render::{photo_loss, render_maps};
 
 /// What [`fit_direct`](super::fit_direct) finds on some pixels where one photo is left out.
 pub(crate) struct Folds {
@@ -21,6 +21,18 @@ pub(crate) struct Folds {
 }
 
 impl Folds {
+    /// Root mean square of the errors (gamma 2.2 codes) of the photos left out, each under the light that suits it best.
+    pub fn error(&self) -> Result<f64> {
+        let mut sum = 0.0;
+        for (without, direct) in &self.folds {
+            let mut target = self.thinned.photos()[*without].target()?;
+            let gain = light::held_out_gain(&self.thinned, *without, &direct.maps)?;
+            target.set_shot(light::lit(target.shot(), gain));
+            sum += photo_loss(&direct.maps, self.thinned.patch_size(), &[target], None)? / 1000.0;
+        }
+        Ok((sum / self.folds.len().max(1) as f64).sqrt())
+    }
+
     /// Expected errors of a new photo, from how the photos left out are missed under their stated light; `None` if there are none.
     pub fn expected(&self) -> Result<Option<Expected>> {
         let mut errors = Vec::new();
@@ -47,7 +59,6 @@ pub(crate) fn fit_folds(
     options: &FitOptions,
     control: &mut Control<'_>,
 ) -> Result<Folds> {
-    let steps = options.steps(Stage::Direct);
     let (thin, pixels) = thinned(capture, REHEARSAL_SIDE)?;
     let relief = relief.map(|relief| thinned_planes(relief, 2, &pixels));
     let mut folds = Vec::new();
@@ -57,11 +68,14 @@ pub(crate) fn fit_folds(
         control.poll()?;
         let rest: Vec<usize> = (0..capture.len()).filter(|&photo| photo != without).collect();
         let rest = thin.select(&rest)?;
-        let mut problem = Problem::new(&rest, crate::fit::targets(&rest)?, options.seed)?;
+        let mut problem = Problem::new(&rest, crate::fit::targets(&rest)?, options.reflectance, options.seed)?;
         problem.parameters.relief.clone_from(&relief);
-        let fit = |control: &mut Control<'_>| problem.fit_in_rounds(&rest, steps, options.seed, control);
+        let fit = |control: &mut Control<'_>| problem.fit_in_rounds(&rest, options, control);
         let (mut direct, _) = Control::silently(options.cancel.clone(), fit)?;
-        let gain = light::held_out_gain(&thin, without, &direct.maps)?;
+        let gain = match options.refine {
+            Refine::None => 1.0,
+            Refine::Auto | Refine::Light => light::held_out_gain(&thin, without, &direct.maps)?,
+        };
         direct.gains.insert(without, gain);
         folds.push((without, direct));
     }

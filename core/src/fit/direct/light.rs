@@ -56,11 +56,12 @@ fn log_gain(capture: &Capture, photo: usize, maps: &Maps<f32>) -> Result<f64> {
 
 /// The shots of `capture` under these gains.
 pub(crate) fn shots(capture: &Capture, gains: &[f64]) -> Vec<Shot> {
-    let lit = |(photo, gain): (&Photo, &f64)| Shot {
-        light_intensity: photo.shot.light_intensity.map(|intensity| intensity * gain),
-        ..photo.shot
-    };
-    capture.photos().iter().zip(gains).map(lit).collect()
+    capture.photos().iter().zip(gains).map(|(photo, &gain)| lit(&photo.shot, gain)).collect()
+}
+
+/// `shot` under `gain` times its light.
+pub(super) fn lit(shot: &Shot, gain: f64) -> Shot {
+    Shot { light_intensity: shot.light_intensity.map(|intensity| intensity * gain), ..*shot }
 }
 
 /// The factor on the codes of `rendering` (three planes of radiance) that brings it nearest to the photo, where that is not saturated: reweighted least squares.

@@ -28,9 +28,10 @@ use std::time::Instant;
 
 use crate::capture::Capture;
 use crate::error::Result;
+use crate::fit::anisotropy;
 use crate::fit::optim::descent::{Descent, Settings, descend};
 use crate::fit::optim::holdout::{REHEARSAL_SIDE, grid};
-use crate::fit::options::FitOptions;
+use crate::fit::options::{FitOptions, Refine, Reflectance};
 use crate::fit::report::StageReport;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, ROUGHNESS_PLANE};
 use crate::progress::{Control, Stage};
@@ -39,7 +40,7 @@ use crate::render::{Target, photo_loss};
 pub(crate) use folds::{Folds, fit_folds};
 use groups::{Membership, colour_groups};
 use parameters::{GROUP_STEP, Layout, Parameters, TILT_STEP, inside, logit, logits};
-use prior::{FLAT, PHOTO_DEVIATION, PREDICTED, Prior, TILT_DEVIATION};
+use prior::{DIELECTRIC_DEVIATION, FLAT, PHOTO_DEVIATION, PREDICTED, Prior, PriorSigmas, TILT_DEVIATION};
 pub(super) use relief::relief;
 use start::{GroupLobe, search};
 
@@ -91,12 +92,12 @@ pub(crate) fn fit_direct(
     let steps = options.steps(Stage::Direct);
     control.report(Stage::Direct, 0, steps, None)?;
     let relief = match relief.filter(|_| capture.len() > 2) {
-        Some(relief) if relief::predicts_better(relief, capture, options.seed, control)? => Some(relief.to_vec()),
+        Some(relief) if relief::predicts_better(relief, capture, options, control)? => Some(relief.to_vec()),
         _ => None,
     };
-    let mut problem = Problem::new(capture, super::targets(capture)?, options.seed)?;
+    let mut problem = Problem::new(capture, super::targets(capture)?, options.reflectance, options.seed)?;
     problem.parameters.relief.clone_from(&relief);
-    let (direct, descent) = problem.fit_in_rounds(capture, steps, options.seed, control)?;
+    let (direct, descent) = problem.fit_in_rounds(capture, options, control)?;
     tracing::debug!("light of the photos: {:.3?}", direct.gains);
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
     Ok((direct, relief))
@@ -120,7 +121,7 @@ pub(crate) fn correct(
     let begun = Instant::now();
     let steps = options.steps(Stage::Direct);
     control.report(Stage::Direct, 0, steps, None)?;
-    let problem = Problem::near(capture, super::targets(capture)?, maps, relief, options.seed);
+    let problem = Problem::near(capture, super::targets(capture)?, maps, relief, options);
     let (maps, descent) = problem.fit(steps, [0; 2], control)?;
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
     Ok(maps)
@@ -160,26 +161,32 @@ struct Problem {
     prior: Prior,
     /// What the groups start from: offsets of specular albedo and roughness, in logits; and the tilt.
     groups: Vec<[f32; 4]>,
+    anisotropy: Vec<[f32; 2]>,
     tilt: [f64; 2],
 }
 
 impl Problem {
-    fn new(capture: &Capture, targets: Vec<Target>, seed: u64) -> Result<Self> {
+    fn new(capture: &Capture, targets: Vec<Target>, reflectance: Reflectance, seed: u64) -> Result<Self> {
         let (width, height) = (capture.width(), capture.height());
         let pixels = width * height;
         let albedo = start::diffuse_start(capture);
         let (memberships, groups) = colour_groups(&albedo, GROUPS, seed);
-        let layout = Layout { pixels, groups };
+        let layout = Layout { pixels, groups, anisotropic: reflectance == Reflectance::Anisotropic };
+        let sigmas = match reflectance {
+            Reflectance::Dielectric => PriorSigmas { specular: DIELECTRIC_DEVIATION, ..FLAT },
+            _ => FLAT,
+        };
         let square = |x: f64| x * x;
         let unit = PHOTO_DEVIATION * PHOTO_DEVIATION;
-        let group = unit * SEARCH_EVIDENCE / FLAT.group.powi(2);
+        let of = |deviation: f64| unit * SEARCH_EVIDENCE / deviation.powi(2);
         let off = |value: f64, start: f32| logit(value as f32) - start;
         let prior = start::Prior {
-            specular: &|s| group * square(off(s, SPECULAR_LOGIT).into()),
-            roughness: &|r| group * square(off(r, ROUGHNESS_LOGIT).into()),
+            specular: &|s| of(sigmas.specular) * square(off(s, SPECULAR_LOGIT).into()),
+            roughness: &|r| of(sigmas.group) * square(off(r, ROUGHNESS_LOGIT).into()),
             tilt: &|[x, y]| unit * (x * x + y * y) / (TILT_DEVIATION * TILT_DEVIATION) / pixels as f64,
+            anisotropy: &|s| unit * SEARCH_EVIDENCE * square(s) / anisotropy::GROUP_DEVIATION.powi(2),
         };
-        let (lobes, tilt) = search(capture, &memberships, groups, &prior);
+        let (lobes, tilt) = search(capture, &memberships, groups, reflectance, &prior);
         tracing::debug!("start: {lobes:?}, tilt {tilt:?}");
         let diffuse = start::diffuse(capture, &memberships, &lobes, tilt);
         let start = |value: f32| logit(START_SHARE * value + START_LEAST);
@@ -190,31 +197,35 @@ impl Problem {
             patch_size: capture.patch_size(),
             width,
             height,
-            parameters: Parameters { layout, memberships, base, relief: None },
-            prior: Prior { sigmas: FLAT, diffuse },
+            parameters: Parameters { reflectance, size: [width, height], layout, memberships, base, relief: None },
+            prior: Prior { sigmas, diffuse },
             groups: lobes.iter().map(offsets).collect(),
+            anisotropy: lobes.iter().map(|lobe| lobe.anisotropy.map(|value| value as f32)).collect(),
             tilt,
         })
     }
 
     /// A problem that stays near `maps`.
-    fn near(capture: &Capture, targets: Vec<Target>, maps: &Maps<f32>, relief: Vec<f32>, seed: u64) -> Self {
+    fn near(capture: &Capture, targets: Vec<Target>, maps: &Maps<f32>, relief: Vec<f32>, options: &FitOptions) -> Self {
         let (width, height) = (capture.width(), capture.height());
         let pixels = width * height;
-        let (memberships, groups) = colour_groups(diffuse_planes(maps), CORRECTED_GROUPS, seed);
+        let (memberships, groups) = colour_groups(diffuse_planes(maps), CORRECTED_GROUPS, options.seed);
         Self {
             targets,
             patch_size: capture.patch_size(),
             width,
             height,
             parameters: Parameters {
-                layout: Layout { pixels, groups },
+                reflectance: options.reflectance,
+                size: [width, height],
+                layout: Layout { pixels, groups, anisotropic: false },
                 memberships,
                 base: lobe_planes(maps).into_iter().flat_map(logits).collect(),
                 relief: Some(relief),
             },
             prior: Prior { sigmas: PREDICTED, diffuse: logits(diffuse_planes(maps)).collect() },
             groups: vec![[0.0; 4]; groups],
+            anisotropy: Vec::new(),
             tilt: [0.0; 2],
         }
     }
@@ -222,7 +233,15 @@ impl Problem {
     /// Groups pixels anew, by the diffuse albedo of `maps`, where the next descent begins.
     fn regroup(&mut self, maps: &Maps<f32>, seed: u64) {
         let (memberships, groups) = colour_groups(diffuse_planes(maps), GROUPS, seed);
-        let planes = lobe_planes(maps);
+        let (mean_roughness, vectors) = match maps.lobe() {
+            Lobe::Isotropic => (Vec::new(), Vec::new()),
+            Lobe::Anisotropic => anisotropy::unstretch(maps),
+        };
+        let mut planes = lobe_planes(maps);
+        if maps.lobe() == Lobe::Anisotropic {
+            planes[3] = &mean_roughness;
+        }
+        self.anisotropy = group_means(&memberships, groups, &vectors);
         let mut sums = vec![([0.0f64; 4], 0.0f64); groups];
         for (p, membership) in memberships.iter().enumerate() {
             for &(group, weight) in membership {
@@ -246,20 +265,22 @@ impl Problem {
     fn fit_in_rounds(
         &mut self,
         capture: &Capture,
-        steps: usize,
-        seed: u64,
+        options: &FitOptions,
         control: &mut Control<'_>,
     ) -> Result<(DirectFit, Descent)> {
+        let steps = options.steps(Stage::Direct);
         let rounds = (steps / ROUND_STEPS).clamp(1, ROUNDS);
         let begins = |round: usize| round * steps / rounds;
         let mut gains = vec![1.0; capture.len()];
         let (mut maps, mut total) = self.fit(begins(1), [0, steps - begins(1)], control)?;
         for round in 1..rounds {
-            gains = light::gains(capture, &maps)?;
-            for (target, shot) in self.targets.iter_mut().zip(light::shots(capture, &gains)) {
-                target.set_shot(shot);
+            if options.refine != Refine::None {
+                gains = light::gains(capture, &maps)?;
+                for (target, shot) in self.targets.iter_mut().zip(light::shots(capture, &gains)) {
+                    target.set_shot(shot);
+                }
             }
-            self.regroup(&maps, seed);
+            self.regroup(&maps, options.seed);
             let (begin, end) = (begins(round), begins(round + 1));
             let (next, descent) = self.fit(end - begin, [begin, steps - end], control)?;
             maps = next;
@@ -304,7 +325,7 @@ impl Problem {
             return Ok(loss + self.prior.cost(params, layout, photos, None));
         };
         let loss = photo_loss(maps, self.patch_size, &self.targets, Some(map_gradient))?;
-        self.parameters.chain(maps, map_gradient, gradient);
+        self.parameters.chain(params, maps, map_gradient, gradient);
         Ok(loss + self.prior.cost(params, layout, photos, Some(gradient)))
     }
 
@@ -320,13 +341,34 @@ impl Problem {
         for c in 0..2 {
             params[layout.tilt() + c] = self.tilt[c] as f32 / TILT_STEP;
         }
+        if layout.anisotropic {
+            params[layout.anisotropy_group()..layout.anisotropy_field()]
+                .copy_from_slice(self.anisotropy.as_flattened());
+        }
         params
     }
 
     fn empty_maps(&self) -> Result<Maps<f32>> {
-        let lobe = Lobe::Isotropic;
+        let lobe = if self.parameters.layout.anisotropic { Lobe::Anisotropic } else { Lobe::Isotropic };
         Maps::new(lobe, self.width, self.height, vec![0.0; lobe.planes() * self.parameters.layout.pixels])
     }
+}
+
+/// The mean of some vectors over the pixels of each group; none of none.
+fn group_means(memberships: &[Membership], groups: usize, vectors: &[[f32; 2]]) -> Vec<[f32; 2]> {
+    if vectors.is_empty() {
+        return Vec::new();
+    }
+    let mut sums = vec![[0.0f64; 3]; groups];
+    for (membership, vector) in memberships.iter().zip(vectors) {
+        for &(group, share) in membership {
+            let sum = &mut sums[group as usize];
+            sum[0] += f64::from(share * vector[0]);
+            sum[1] += f64::from(share * vector[1]);
+            sum[2] += f64::from(share);
+        }
+    }
+    sums.iter().map(|sum| [0, 1].map(|i| (sum[i] / sum[2].max(f64::MIN_POSITIVE)) as f32)).collect()
 }
 
 /// The planes of specular albedo, and that of roughness.

@@ -1,12 +1,15 @@
 //! From the parameters of [`direct`](super) to maps, and the gradient back.
 //!
 //! With the sigmoid `S`, per pixel: diffuse albedo `S(d)`; specular albedo and roughness `S(base + own + groups)`, where `groups` mixes the offsets of
-//! the pixel's two colour groups by its membership; normal proportional to `(slope + relief + tilt, 1)`.
+//! the pixel's two colour groups by its membership; normal proportional to `(slope + relief + tilt, 1)`. Simpler reflectances hold some of it: a diffuse
+//! surface has no specular albedo, a dielectric one for all channels of a group. An anisotropic one has [`anisotropy`](crate::fit::anisotropy) beside the mean roughness.
 
 use rayon::prelude::*;
 
 use super::groups::Membership;
 use crate::brdf::real::{Kernel, Lanes, Real};
+use crate::fit::anisotropy;
+use crate::fit::options::Reflectance;
 use crate::maps::{DIFFUSE_PLANE, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 
 /// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
@@ -20,6 +23,8 @@ pub(super) const TILT_STEP: f32 = 1.0 / 3.0;
 pub(super) struct Layout {
     pub pixels: usize,
     pub groups: usize,
+    /// Whether lobes have an anisotropy.
+    pub anisotropic: bool,
 }
 
 impl Layout {
@@ -41,13 +46,22 @@ impl Layout {
     pub(super) const fn tilt(self) -> usize {
         self.roughness_group() + self.groups
     }
-    pub(super) const fn len(self) -> usize {
+    pub(super) const fn anisotropy_group(self) -> usize {
         self.tilt() + 2
+    }
+    pub(super) const fn anisotropy_field(self) -> usize {
+        self.anisotropy_group() + if self.anisotropic { 2 * self.groups } else { 0 }
+    }
+    pub(super) const fn len(self) -> usize {
+        self.anisotropy_field() + if self.anisotropic { 2 * anisotropy::NODES * anisotropy::NODES } else { 0 }
     }
 }
 
 /// What turns parameters into maps.
 pub(super) struct Parameters {
+    pub reflectance: Reflectance,
+    /// Columns and rows.
+    pub size: [usize; 2],
     pub layout: Layout,
     pub memberships: Vec<Membership>,
     /// Logits of specular albedo and roughness to which the offsets of groups and pixels are added, four planes.
@@ -96,13 +110,15 @@ impl Parameters {
                 }
             } else if plane < ROUGHNESS_PLANE {
                 out.fill(1.0);
+            } else if self.reflectance == Reflectance::Diffuse {
+                out.fill(if plane < specular_plane { 1.0 } else { 0.0 });
             } else if plane < specular_plane {
                 let groups = &params[layout.roughness_group()..layout.tilt()];
                 let own = &params[layout.roughness_own()..layout.specular_group()];
                 let logits = self.mixed_logits(3, groups, own);
                 out.iter_mut().zip(logits).for_each(|(out, x)| *out = x);
                 f32::run(Sigmoid { values: out, least: ROUGHNESS_MIN });
-            } else {
+            } else if plane < specular_plane + 3 {
                 let c = plane - specular_plane;
                 let groups = &params[layout.specular_group() + c * layout.groups..][..layout.groups];
                 let own = &params[layout.specular_own()..layout.roughness_own()];
@@ -111,10 +127,28 @@ impl Parameters {
                 f32::run(Sigmoid { values: out, least: 0.0 });
             }
         });
+        if layout.anisotropic {
+            anisotropy::stretch(maps, &self.anisotropy(params));
+        }
+    }
+
+    /// The anisotropy of every pixel.
+    fn anisotropy(&self, params: &[f32]) -> Vec<[f32; 2]> {
+        let layout = self.layout;
+        let (groups, field) = (&params[layout.anisotropy_group()..], &params[layout.anisotropy_field()..layout.len()]);
+        let of_pixel = |(pixel, membership): (usize, &Membership)| {
+            let nodes = anisotropy::nodes(self.size, pixel);
+            [0, 1].map(|i| {
+                let of_groups: f32 =
+                    membership.iter().map(|&(group, share)| share * groups[2 * group as usize + i]).sum();
+                of_groups + nodes.iter().map(|&(node, share)| share * field[2 * node + i]).sum::<f32>()
+            })
+        };
+        self.memberships.par_iter().enumerate().map(of_pixel).collect()
     }
 
     /// From the gradient with respect to the maps to that with respect to the parameters, which it overwrites.
-    pub(super) fn chain(&self, maps: &Maps<f32>, map_gradient: &Maps<f32>, gradient: &mut [f32]) {
+    pub(super) fn chain(&self, params: &[f32], maps: &Maps<f32>, map_gradient: &Maps<f32>, gradient: &mut [f32]) {
         let layout = self.layout;
         let n = layout.pixels;
         let specular_plane = maps.lobe().specular_plane();
@@ -127,7 +161,10 @@ impl Parameters {
             .chain([ROUGHNESS_PLANE])
             .chain(specular_plane..specular_plane + 3)
             .collect();
-        let logits: Vec<Vec<f32>> = planes.into_par_iter().map(logit_gradient).collect();
+        let mut logits: Vec<Vec<f32>> = planes.into_par_iter().map(logit_gradient).collect();
+        if layout.anisotropic {
+            logits[3] = self.chain_anisotropy(params, maps, map_gradient, gradient);
+        }
         let (diffuse, rest) = logits.split_at(3);
         let (roughness, specular) = (&rest[0], &rest[1..]);
 
@@ -149,6 +186,49 @@ impl Parameters {
             .flat_map_iter(|slopes| self.gather(slopes))
             .collect();
         gradient[layout.specular_group()..layout.tilt()].copy_from_slice(&shared);
+        if self.reflectance == Reflectance::Dielectric {
+            // One specular albedo for the three channels and for all pixels of a group.
+            gradient[layout.specular_own()..layout.roughness_own()].fill(0.0);
+            for group in layout.specular_group()..layout.specular_group() + layout.groups {
+                let channels = [0, 1, 2].map(|c| group + c * layout.groups);
+                let mean = channels.iter().map(|&i| gradient[i]).sum::<f32>() / 3.0;
+                channels.into_iter().for_each(|i| gradient[i] = mean);
+            }
+        }
+    }
+
+    /// The part of [`Parameters::chain`] that leads to the anisotropy. Gives the gradient by the logits of the mean roughness.
+    fn chain_anisotropy(
+        &self,
+        params: &[f32],
+        maps: &Maps<f32>,
+        map_gradient: &Maps<f32>,
+        gradient: &mut [f32],
+    ) -> Vec<f32> {
+        let layout = self.layout;
+        let vectors = self.anisotropy(params);
+        let of_pixel = |(pixel, &vector): (usize, &[f32; 2])| {
+            let (by_log, by_vector) = anisotropy::pull_back(maps, map_gradient, vector, pixel);
+            let [along, s] = [maps.plane(ROUGHNESS_PLANE)[pixel], vector[0].hypot(vector[1])];
+            (by_log * (1.0 - along * (0.5 * s).exp()), by_vector)
+        };
+        let (logits, by_vectors): (Vec<f32>, Vec<[f32; 2]>) = vectors.par_iter().enumerate().map(of_pixel).unzip();
+        let mut sums = vec![0.0f64; layout.len() - layout.anisotropy_group()];
+        let (groups, field) = sums.split_at_mut(2 * layout.groups);
+        for (pixel, (membership, by_vector)) in self.memberships.iter().zip(by_vectors).enumerate() {
+            for i in 0..2 {
+                for &(group, share) in membership {
+                    groups[2 * group as usize + i] += f64::from(share * by_vector[i]);
+                }
+                for (node, share) in anisotropy::nodes(self.size, pixel) {
+                    field[2 * node + i] += f64::from(share * by_vector[i]);
+                }
+            }
+        }
+        for (slope, sum) in gradient[layout.anisotropy_group()..].iter_mut().zip(sums) {
+            *slope = sum as f32;
+        }
+        logits
     }
 }
 

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::parameters::{GROUP_STEP, Layout, TILT_STEP};
+use crate::fit::anisotropy;
 
 /// Standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
 pub(super) const PHOTO_DEVIATION: f64 = 0.2;
@@ -22,14 +23,18 @@ pub(super) struct PriorSigmas {
     pub diffuse: f64,
     /// Standard deviation of a group's offsets, in logits.
     pub group: f64,
+    /// Likewise, that of specular albedo.
+    pub specular: f64,
     /// The prior of a group counts as if this share of its pixels spoke for it.
     pub evidence: f64,
 }
 
 /// From a flat start the diffuse albedo is free where a photo says anything, and groups may be anything.
-pub(super) const FLAT: PriorSigmas = PriorSigmas { diffuse: 5.0, group: 2.0, evidence: 0.002 };
+pub(super) const FLAT: PriorSigmas = PriorSigmas { diffuse: 5.0, group: 2.0, specular: 2.0, evidence: 0.002 };
+/// A dielectric's specular albedo lies between 2 and 8 %, which has to outweigh more than the prior of a group: as a deviation beside its evidence.
+pub(super) const DIELECTRIC_DEVIATION: f64 = 0.1;
 /// Near a prediction a pixel's diffuse albedo stays what was predicted: a single photo would put its highlight there.
-pub(super) const PREDICTED: PriorSigmas = PriorSigmas { diffuse: 0.3, group: 1.0, evidence: 0.02 };
+pub(super) const PREDICTED: PriorSigmas = PriorSigmas { diffuse: 0.3, group: 1.0, specular: 1.0, evidence: 0.02 };
 
 /// Gaussian priors on the parameters.
 pub(super) struct Prior {
@@ -45,17 +50,40 @@ impl Prior {
         // photo_loss is 1000 times a mean of squares; as a negative log likelihood it would be their sum over 2 sigma^2.
         let residuals = (photos * 3 * n) as f64;
         let unit = 1000.0 * 2.0 * PHOTO_DEVIATION * PHOTO_DEVIATION / residuals;
-        let PriorSigmas { diffuse, group, evidence } = self.sigmas;
-        let group_unit = evidence * unit * n as f64 / layout.groups as f64 / group.powi(2);
+        let PriorSigmas { diffuse, group, specular, evidence } = self.sigmas;
+        let group_unit = evidence * unit * n as f64 / layout.groups as f64;
+        let node_unit = evidence * unit * n as f64 / (anisotropy::NODES * anisotropy::NODES) as f64;
         // (range, where it is pulled to, step factor, weight)
         let terms = [
             (0..layout.slope(), Some(&self.diffuse), 1.0, unit / diffuse.powi(2)),
             (layout.slope()..layout.specular_own(), None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
             (layout.specular_own()..layout.specular_group(), None, 1.0, unit / OWN_DEVIATION.powi(2)),
-            (layout.specular_group()..layout.tilt(), None, GROUP_STEP, group_unit),
-            (layout.tilt()..layout.len(), None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
+            (layout.specular_group()..layout.roughness_group(), None, GROUP_STEP, group_unit / specular.powi(2)),
+            (layout.roughness_group()..layout.tilt(), None, GROUP_STEP, group_unit / group.powi(2)),
+            (layout.tilt()..layout.tilt() + 2, None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
+            (
+                layout.anisotropy_group()..layout.anisotropy_field(),
+                None,
+                1.0,
+                group_unit / anisotropy::GROUP_DEVIATION.powi(2),
+            ),
+            (layout.anisotropy_field()..layout.len(), None, 1.0, node_unit / anisotropy::FIELD_DEVIATION.powi(2)),
         ];
         let mut total = 0.0;
+        if layout.anisotropic {
+            let weight = node_unit / anisotropy::NEIGHBOUR_DEVIATION.powi(2);
+            let at = |node: usize, i: usize| layout.anisotropy_field() + 2 * node + i;
+            for (a, b) in anisotropy::neighbours() {
+                for (a, b) in [0, 1].map(|i| (at(a, i), at(b, i))) {
+                    let difference = params[a] - params[b];
+                    total += 0.5 * weight * f64::from(difference * difference);
+                    if let Some(gradient) = gradient.as_deref_mut() {
+                        gradient[a] += weight as f32 * difference;
+                        gradient[b] -= weight as f32 * difference;
+                    }
+                }
+            }
+        }
         for (range, mean, step, weight) in terms {
             let weight = weight * f64::from(step * step);
             let values = &params[range.clone()];

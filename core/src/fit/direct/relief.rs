@@ -4,6 +4,7 @@ use super::Problem;
 use crate::capture::Capture;
 use crate::error::Result;
 use crate::fit::optim::holdout::{REHEARSAL_SIDE, left_out, thinned, thinned_planes};
+use crate::fit::options::FitOptions;
 use crate::maps::{Maps, NORMAL_PLANE};
 use crate::progress::{CancelToken, Control};
 use crate::render::{Target, photo_loss};
@@ -17,13 +18,18 @@ const GAIN: f64 = 0.1;
 const STEEPEST: f32 = 0.2;
 
 /// Whether photos that are left out are predicted better with `relief` than from a flat surface, on a part of the pixels.
-pub(super) fn predicts_better(relief: &[f32], capture: &Capture, seed: u64, control: &mut Control<'_>) -> Result<bool> {
+pub(super) fn predicts_better(
+    relief: &[f32],
+    capture: &Capture,
+    options: &FitOptions,
+    control: &mut Control<'_>,
+) -> Result<bool> {
     let (capture, pick) = thinned(capture, REHEARSAL_SIDE)?;
     let all: Vec<Target> = crate::fit::targets(&capture)?;
     let left_out = left_out(all.len(), FOLDS);
     let rests: Vec<Vec<Target>> =
         left_out.clone().map(|without| [&all[..without], &all[without + 1..]].concat()).collect();
-    let mut problem = Problem::new(&capture, all.clone(), seed)?;
+    let mut problem = Problem::new(&capture, all.clone(), options.reflectance, options.seed)?;
     let mut error = |relief: Option<Vec<f32>>| -> Result<f64> {
         problem.parameters.relief = relief;
         let mut error = 0.0;

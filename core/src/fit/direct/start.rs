@@ -10,8 +10,10 @@
 use rayon::prelude::*;
 
 use super::groups::Membership;
+use super::parameters::sum;
 use crate::brdf::real::{Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::capture::{Capture, Photo};
+use crate::fit::options::Reflectance;
 use crate::fit::shading::{Geometry, Parts, bundle, saturated, unbundle};
 use crate::render::encode;
 
@@ -26,6 +28,10 @@ const ROUGHNESSES: [f64; 9] = [0.12, 0.17, 0.23, 0.3, 0.38, 0.47, 0.58, 0.72, 0.
 const SPECULARS: [f64; 9] = [0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6, 0.85];
 /// Candidates for either slope of the common tilt.
 const TILTS: [f64; 5] = [-0.14, -0.07, 0.0, 0.07, 0.14];
+/// Candidates for the length of the anisotropy, and directions of it.
+const ANISOTROPIES: [f64; 3] = [0.5, 1.0, 1.6];
+const DIRECTIONS: usize = 8;
+const ANISOTROPIC_ROUNDS: usize = 2;
 /// Differences of codes beyond this count less and less (Cauchy).
 const OUTLIER: f64 = 0.1;
 /// Largest diffuse albedo.
@@ -41,6 +47,8 @@ pub(super) struct Prior<'a> {
     pub specular: &'a (dyn Fn(f64) -> f64 + Sync),
     pub roughness: &'a (dyn Fn(f64) -> f64 + Sync),
     pub tilt: &'a (dyn Fn([f64; 2]) -> f64 + Sync),
+    /// By the length of the anisotropy.
+    pub anisotropy: &'a (dyn Fn(f64) -> f64 + Sync),
 }
 
 /// The lobe of a colour group.
@@ -48,6 +56,20 @@ pub(super) struct Prior<'a> {
 pub(super) struct GroupLobe {
     pub specular: [f64; 3],
     pub roughness: f64,
+    /// 0 for a round lobe.
+    pub anisotropy: [f64; 2],
+}
+
+impl GroupLobe {
+    /// Of a group of which nothing is seen: a dielectric's.
+    const UNKNOWN: Self = Self { specular: [0.04; 3], roughness: 0.5, anisotropy: [0.0; 2] };
+}
+
+/// How a surface leans, and the anisotropy of its lobe; `None` for the isotropic model, whose masking is another.
+#[derive(Clone, Copy)]
+struct Shape {
+    tilt: [f64; 2],
+    anisotropy: Option<[f64; 2]>,
 }
 
 /// Pixels in one photo.
@@ -90,10 +112,35 @@ impl<L: Lanes> View<L> {
 
 /// What a surface sends to the camera in each of `views`, in `parts`.
 #[inline(always)]
-fn shade<L: Lanes>(views: &[View<L>], normal: [L; 3], alpha: L, parts: &mut Vec<Parts<L>>) {
+fn shade<L: Lanes>(views: &[View<L>], surface: &Facing<L>, alpha: L, parts: &mut Vec<Parts<L>>) {
     parts.clear();
     for view in views {
-        parts.push(view.geometry.parts(normal, alpha));
+        parts.push(match surface.tangent {
+            None => view.geometry.parts(surface.normal, alpha),
+            Some(tangent) => {
+                let alphas = [alpha / surface.stretch, alpha * surface.stretch];
+                view.geometry.anisotropic_parts(surface.normal, tangent, alphas)
+            }
+        });
+    }
+}
+
+/// A [`Shape`] as it is shaded.
+struct Facing<L> {
+    normal: [L; 3],
+    tangent: Option<[L; 3]>,
+    /// By what the lobe is narrower along the tangent and wider across.
+    stretch: L,
+}
+
+impl<L: Lanes> Facing<L> {
+    #[inline(always)]
+    fn new(shape: Shape) -> Self {
+        let [p, q] = shape.anisotropy.unwrap_or_default();
+        let angle = 0.5 * q.atan2(p);
+        let tangent = [L::splat(angle.cos()), L::splat(angle.sin()), L::splat(0.0)];
+        let tangent = if shape.anisotropy.is_some() { Some(tangent) } else { None };
+        Self { normal: normal(shape.tilt), tangent, stretch: L::splat(p.hypot(q).exp()) }
     }
 }
 
@@ -134,12 +181,12 @@ fn misfit<L: Lanes>(views: &[View<L>], parts: &[Parts<L>], c: usize, d: L, s: L)
     logs * L::splat(OUTLIER * OUTLIER * std::f64::consts::LN_2)
 }
 
-/// The best values of some pixels on surfaces that lean by each of `tilts`, and how far from the photos they are per pixel.
+/// The best values of some pixels on surfaces of each of `shapes`, and how far from the photos they are per pixel.
 struct Explain<'a> {
     capture: &'a Capture,
     photos: &'a [usize],
     pixels: &'a [usize],
-    tilts: &'a [[f64; 2]],
+    shapes: &'a [Shape],
     /// Every so many-th candidate, in these channels.
     step: usize,
     channels: &'a [usize],
@@ -151,7 +198,7 @@ impl<R: Real> Kernel<R> for Explain<'_> {
 
     #[inline(always)]
     fn run<L: Lanes<Scalar = R>>(self) -> Self::Output {
-        let Self { capture, photos, pixels, tilts, step, channels, prior } = self;
+        let Self { capture, photos, pixels, shapes, step, channels, prior } = self;
         let mut bundles = Vec::with_capacity(pixels.len().div_ceil(L::LANES));
         for pixels in pixels.chunks(L::LANES) {
             // The last bundle may hold its last pixel more than once.
@@ -159,14 +206,15 @@ impl<R: Real> Kernel<R> for Explain<'_> {
             bundles.push((View::all(capture, photos, pixels), counted));
         }
         let mut parts: Vec<Parts<L>> = Vec::with_capacity(photos.len());
-        let mut best_of_tilts = Vec::with_capacity(tilts.len());
-        for &tilt in tilts {
-            let normal = normal(tilt);
-            let mut best = (f64::INFINITY, GroupLobe { specular: [0.04; 3], roughness: 0.5 });
+        let mut best_of_shapes = Vec::with_capacity(shapes.len());
+        for &shape in shapes {
+            let surface = Facing::new(shape);
+            let anisotropy = shape.anisotropy.unwrap_or_default();
+            let mut best = (f64::INFINITY, GroupLobe { anisotropy, ..GroupLobe::UNKNOWN });
             for roughness in ROUGHNESSES.into_iter().step_by(step) {
                 let mut sums = [[L::splat(0.0); SPECULARS.len()]; 3];
                 for (views, counted) in &bundles {
-                    shade(views, normal, L::splat(roughness * roughness), &mut parts);
+                    shade(views, &surface, L::splat(roughness * roughness), &mut parts);
                     for &c in channels {
                         for i in (0..SPECULARS.len()).step_by(step) {
                             let s = L::splat(SPECULARS[i]);
@@ -175,8 +223,8 @@ impl<R: Real> Kernel<R> for Explain<'_> {
                         }
                     }
                 }
-                let mut found = GroupLobe { specular: [0.04; 3], roughness };
-                let mut total = (prior.roughness)(roughness);
+                let mut found = GroupLobe { specular: [0.04; 3], roughness, anisotropy };
+                let mut total = (prior.roughness)(roughness) + (prior.anisotropy)(anisotropy[0].hypot(anisotropy[1]));
                 for &c in channels {
                     let mut least = f64::INFINITY;
                     for i in (0..SPECULARS.len()).step_by(step) {
@@ -192,9 +240,9 @@ impl<R: Real> Kernel<R> for Explain<'_> {
                     best = (total, found);
                 }
             }
-            best_of_tilts.push(best);
+            best_of_shapes.push(best);
         }
-        best_of_tilts
+        best_of_shapes
     }
 }
 
@@ -205,11 +253,13 @@ pub(super) fn memory(photos: usize) -> u64 {
     (GROUP_PIXELS * photos.min(PHOTOS) * VIEW) as u64
 }
 
-/// For each of `groups` colour groups the values that explain the photos best, and the tilt that all share.
+/// For each of `groups` colour groups the values that explain the photos best, and the tilt that all share. An anisotropic group's lobe is round or the one that suits
+/// all best.
 pub(super) fn search(
     capture: &Capture,
     memberships: &[Membership],
     groups: usize,
+    reflectance: Reflectance,
     prior: &Prior<'_>,
 ) -> (Vec<GroupLobe>, [f64; 2]) {
     let count = capture.len().min(PHOTOS);
@@ -225,29 +275,58 @@ pub(super) fn search(
             (0..taken).map(|i| pixels[(2 * i + 1) * pixels.len() / (2 * taken)]).collect()
         })
         .collect();
-    let explain = |pixels: &[usize], tilts: &[[f64; 2]], step: usize, channels: &[usize]| {
-        f32::run(Explain { capture, photos: &photos, pixels, tilts, step, channels, prior })
+    let explain = |pixels: &[usize], shapes: &[Shape], step: usize, channels: &[usize]| {
+        f32::run(Explain { capture, photos: &photos, pixels, shapes, step, channels, prior })
     };
-
-    let tilts: Vec<[f64; 2]> = TILTS.iter().flat_map(|&x| TILTS.map(|y| [x, y])).collect();
-    let quick = |sample: &Vec<usize>| {
-        let pixels: Vec<usize> = sample.iter().step_by(TILT_STRIDE).copied().collect();
-        explain(&pixels, &tilts, 2, &[1])
-    };
-    let of_groups: Vec<Vec<(f64, GroupLobe)>> = samples.par_iter().map(quick).collect();
-    let mut best = (f64::INFINITY, [0.0; 2]);
-    for (i, &tilt) in tilts.iter().enumerate() {
-        // A group counts by its size.
-        let costs = of_groups.iter().zip(&members).filter(|(_, members)| !members.is_empty());
-        let cost = costs.map(|(costs, members)| members.len() as f64 * costs[i].0).sum::<f64>();
-        let cost = cost / memberships.len() as f64 + (prior.tilt)(tilt);
-        if cost < best.0 {
-            best = (cost, tilt);
+    // The shape that suits all groups best, a group counting by its size.
+    let best_of = |shapes: &[Shape], cost: &dyn Fn(&Shape) -> f64| -> Shape {
+        let quick = |sample: &Vec<usize>| {
+            let pixels: Vec<usize> = sample.iter().step_by(TILT_STRIDE).copied().collect();
+            explain(&pixels, shapes, 2, &[1])
+        };
+        let of_groups: Vec<Vec<(f64, GroupLobe)>> = samples.par_iter().map(quick).collect();
+        let mut best = (f64::INFINITY, shapes[0]);
+        for (i, shape) in shapes.iter().enumerate() {
+            let costs = of_groups.iter().zip(&members).filter(|(_, members)| !members.is_empty());
+            let misfit = costs.map(|(costs, members)| members.len() as f64 * costs[i].0).sum::<f64>();
+            let total = misfit / memberships.len() as f64 + cost(shape);
+            if total < best.0 {
+                best = (total, *shape);
+            }
         }
+        best.1
+    };
+    let anisotropic = reflectance == Reflectance::Anisotropic;
+    let leaning = |tilt: [f64; 2]| Shape { tilt, anisotropy: anisotropic.then_some([0.0; 2]) };
+    let tilts: Vec<Shape> = TILTS.iter().flat_map(|&x| TILTS.map(|y| leaning([x, y]))).collect();
+    let mut shape = best_of(&tilts, &|shape| (prior.tilt)(shape.tilt));
+    let mut shapes = vec![shape];
+    if anisotropic {
+        let vector = |s: f64, i: usize| {
+            let angle = std::f64::consts::TAU * i as f64 / DIRECTIONS as f64;
+            [s * angle.cos(), s * angle.sin()]
+        };
+        let turned = ANISOTROPIES.iter().flat_map(|&s| (0..DIRECTIONS).map(move |i| vector(s, i)));
+        let lobes: Vec<Option<[f64; 2]>> = [[0.0; 2]].into_iter().chain(turned).map(Some).collect();
+        // A stretched highlight looks like a tilt of a round one: one after the other, twice.
+        for _ in 0..ANISOTROPIC_ROUNDS {
+            shape =
+                best_of(&lobes.iter().map(|&anisotropy| Shape { anisotropy, ..shape }).collect::<Vec<_>>(), &|_| 0.0);
+            let tilted: Vec<Shape> = tilts.iter().map(|tilted| Shape { tilt: tilted.tilt, ..shape }).collect();
+            shape = best_of(&tilted, &|shape| (prior.tilt)(shape.tilt));
+        }
+        shapes = vec![leaning(shape.tilt), shape];
     }
-    let tilt = best.1;
-    let found = samples.par_iter().map(|sample| explain(sample, &[tilt], 1, &[0, 1, 2])[0].1).collect();
-    (found, tilt)
+    let of_group = |sample: &Vec<usize>| {
+        let lobes = explain(sample, &shapes, 1, &[0, 1, 2]);
+        let best = lobes.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+        let mut lobe = best.map_or(GroupLobe::UNKNOWN, |(_, lobe)| lobe);
+        if reflectance == Reflectance::Dielectric {
+            lobe.specular = [lobe.specular[1]; 3];
+        }
+        lobe
+    };
+    (samples.par_iter().map(of_group).collect(), shape.tilt)
 }
 
 /// The diffuse albedo of all pixels beside what was `found` for their groups, on a surface that leans by `tilt`.
@@ -278,7 +357,7 @@ impl<R: Real> Kernel<R> for Beside<'_> {
     fn run<L: Lanes<Scalar = R>>(self) -> Self::Output {
         let Self { capture, pixels, memberships, found, tilt } = self;
         let photos: Vec<usize> = (0..capture.len()).collect();
-        let normal = normal(tilt);
+        let leaning = Facing::new(Shape { tilt, anisotropy: None });
         let mixed = |pixel: usize, value: &dyn Fn(&GroupLobe) -> f64| {
             let [(a, of_a), (b, of_b)] = memberships[pixel];
             let (a, b) = (value(&found[a as usize]), value(&found[b as usize]));
@@ -289,7 +368,7 @@ impl<R: Real> Kernel<R> for Beside<'_> {
         for pixels in pixels.chunks(L::LANES) {
             let views = View::all(capture, &photos, pixels);
             let roughness: L = bundle(pixels, |&pixel| mixed(pixel, &|found| found.roughness));
-            shade(&views, normal, roughness * roughness, &mut parts);
+            shade(&views, &leaning, roughness * roughness, &mut parts);
             let mut albedo = [L::splat(0.0); 3];
             for c in 0..3 {
                 let specular = bundle(pixels, |&pixel| mixed(pixel, &|found| found.specular[c]));
@@ -346,17 +425,13 @@ pub(super) fn flat_albedo(photo: &Photo, position: [f64; 2], pixel: usize) -> [f
     })
 }
 
-/// Sum in f64, in order.
-fn sum(values: impl Iterator<Item = f32>) -> f32 {
-    values.map(f64::from).sum::<f64>() as f32
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Explain, Prior, diffuse, search};
+    use super::{Explain, Prior, Shape, diffuse, search};
     use crate::brdf::real::Real;
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
+    use crate::fit::options::Reflectance;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
     use crate::render::render_maps;
@@ -364,7 +439,8 @@ mod tests {
 
     const SIDE: usize = 12;
     const PIXELS: usize = SIDE * SIDE;
-    const FLAT: Prior<'static> = Prior { specular: &|_| 0.0, roughness: &|_| 0.0, tilt: &|_| 0.0 };
+    const FLAT: Prior<'static> =
+        Prior { specular: &|_| 0.0, roughness: &|_| 0.0, tilt: &|_| 0.0, anisotropy: &|_| 0.0 };
 
     /// Seven photos of a surface that leans, of one material on the left and another on the right.
     fn capture(materials: [([f32; 3], f32, f32); 2], tilt: [f32; 2]) -> Capture {
@@ -396,7 +472,7 @@ mod tests {
         let capture = capture(materials, [0.07, -0.14]);
         let memberships: Vec<_> =
             (0..PIXELS).map(|p| [(u16::from(p % SIDE >= SIDE / 2).into(), 1.0), (0, 0.0)]).collect();
-        let (found, tilt) = search(&capture, &memberships, 2, &FLAT);
+        let (found, tilt) = search(&capture, &memberships, 2, Reflectance::Isotropic, &FLAT);
         assert_eq!(tilt, [0.07, -0.14]);
         for (found, (_, specular, roughness)) in found.iter().zip(materials) {
             assert!(found.specular.iter().all(|&s| (s - f64::from(specular)).abs() < 1e-6), "{found:?}");
@@ -412,11 +488,12 @@ mod tests {
     fn lanes_agree_with_single_numbers_in_double_precision() {
         let capture = capture([([0.3, 0.4, 0.2], 0.05, 0.4), ([0.05, 0.1, 0.15], 0.3, 0.25)], [0.02, 0.03]);
         let pixels: Vec<usize> = (0..PIXELS).step_by(7).collect();
+        let shapes = [[0.0, 0.0], [0.1, -0.2]].map(|tilt| Shape { tilt, anisotropy: None });
         let explain = || Explain {
             capture: &capture,
             photos: &[0, 2, 5],
             pixels: &pixels,
-            tilts: &[[0.0, 0.0], [0.1, -0.2]],
+            shapes: &shapes,
             step: 1,
             channels: &[0, 2],
             prior: &FLAT,

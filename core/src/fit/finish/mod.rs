@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use crate::brdf::real::Real;
 use crate::capture::{Capture, Photo};
 use crate::error::{Error, Result};
+use crate::fit::options::Reflectance;
 use crate::fit::report::StageReport;
 use crate::fit::verdict::Expected;
 use crate::progress::{Control, Stage};
@@ -38,6 +39,10 @@ pub(crate) struct Start<'a> {
     pub network: &'a [f32],
     /// The network's standard deviations.
     pub deviation: &'a [f32],
+    /// The anisotropy of every pixel; none where lobes are round.
+    pub anisotropy: &'a [[f32; 2]],
+    /// A diffuse surface has no lobe to be fitted, a dielectric one has the specular albedo of the maps so far.
+    pub reflectance: Reflectance,
     /// What decides how much of this is believed; without folds it is what suits a single photo.
     pub rehearsal: &'a Rehearsal,
 }
@@ -117,7 +122,8 @@ pub(crate) fn finish(
     let fit_row = |row: usize| {
         let places: Vec<Place> = (row * width..(row + 1) * width).map(|pixel| Place { pixel, so_far: pixel }).collect();
         let (problem, so_far) = (&problem, start.raw);
-        f32::run(Fit(Pixels { problem, places: &places, so_far, shots, without: None, weighting, steps }))
+        let anisotropy = start.anisotropy;
+        f32::run(Fit(Pixels { problem, places: &places, so_far, anisotropy, shots, without: None, weighting, steps }))
     };
     let mut rows: Vec<Fitted> = Vec::with_capacity(height);
     // Some rows at a time, so that a caller who wants to stop is heard.
@@ -159,6 +165,7 @@ mod tests {
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::error::Error;
+    use crate::fit::options::Reflectance;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
     use crate::nn::Decoding;
@@ -211,7 +218,7 @@ mod tests {
     /// As if `raw` had been found without each of the photos.
     fn rehearsal(capture: &Capture, raw: &[f32]) -> Rehearsal {
         let shots: Vec<Shot> = capture.photos().iter().map(|photo| photo.shot).collect();
-        let fold = |without| Fold { without, raw: raw.to_vec(), shots: shots.clone() };
+        let fold = |without| Fold { without, raw: raw.to_vec(), anisotropy: Vec::new(), shots: shots.clone() };
         let folds = if capture.len() > 1 { (0..capture.len()).map(fold).collect() } else { Vec::new() };
         Rehearsal { size: [WIDTH, HEIGHT], pixels: (0..PIXELS).collect(), folds }
     }
@@ -223,7 +230,14 @@ mod tests {
         let finished = finish(
             capture,
             &capture.photos().iter().map(|photo| photo.shot).collect::<Vec<_>>(),
-            Start { raw, network: raw, deviation: &vec![deviation; raw.len()], rehearsal: &rehearsal(capture, raw) },
+            Start {
+                raw,
+                network: raw,
+                deviation: &vec![deviation; raw.len()],
+                anisotropy: &[],
+                reflectance: Reflectance::Isotropic,
+                rehearsal: &rehearsal(capture, raw),
+            },
             -0.9,
             20,
             &mut stages,
@@ -282,7 +296,14 @@ mod tests {
             let mut callback = |_: &Progress| answer;
             let mut control = Control::new(&mut callback, CancelToken::new());
             let rehearsal = rehearsal(&capture, &truth);
-            let start = Start { raw, network: &truth, deviation: &truth, rehearsal: &rehearsal };
+            let start = Start {
+                raw,
+                network: &truth,
+                deviation: &truth,
+                anisotropy: &[],
+                reflectance: Reflectance::Isotropic,
+                rehearsal: &rehearsal,
+            };
             finish(&capture, &shots(2), start, -1.0, 1, &mut Vec::new(), &mut control)
         };
         assert!(matches!(attempt(&truth[1..], ControlFlow::Continue(())), Err(Error::ShapeMismatch { .. })));

@@ -5,6 +5,7 @@ use super::weighting::Weighting;
 use super::{Problem, View};
 use crate::brdf::real::{Kernel, Lanes, Real};
 use crate::cholesky::Cholesky;
+use crate::fit::options::Reflectance;
 use crate::fit::shading::{CodeJacobian, FLAT_LIMIT, Geometry, Surface, bundle, saturated, unbundle};
 use crate::raw::{NORMAL, RAW, ROUGHNESS, SPECULAR};
 use crate::shot::Shot;
@@ -34,6 +35,8 @@ pub(super) struct Pixels<'p> {
     pub places: &'p [Place],
     /// Nine planes of the maps so far.
     pub so_far: &'p [f32],
+    /// The anisotropy of their pixels; none where lobes are round.
+    pub anisotropy: &'p [[f32; 2]],
     /// How the photos are taken to be lit, one for each.
     pub shots: &'p [Shot],
     /// A photo that does not count.
@@ -77,6 +80,8 @@ struct Datum<L: Lanes> {
 struct Prior<L> {
     mean: [L; RAW],
     weight: [L; RAW],
+    /// Where lobes are not round.
+    anisotropy: Option<[L; 2]>,
 }
 
 /// Normal equations of pixels at one place.
@@ -103,6 +108,16 @@ impl Problem<'_> {
         }
     }
 
+    /// Whether the raw value `i` stays what the maps so far have.
+    #[inline(always)]
+    fn fixed(&self, i: usize) -> bool {
+        match self.start.reflectance {
+            Reflectance::Diffuse => (ROUGHNESS..RAW).contains(&i),
+            Reflectance::Dielectric => (SPECULAR..RAW).contains(&i),
+            _ => false,
+        }
+    }
+
     /// Moves values into their ranges.
     #[inline(always)]
     fn limit<L: Lanes>(&self, raw: &mut [L; RAW]) {
@@ -118,15 +133,32 @@ impl Problem<'_> {
     }
 }
 
+/// The anisotropy of pixels, by that of the maps so far.
+#[inline(always)]
+fn anisotropy_of<L: Lanes>(vectors: &[[f32; 2]], places: &[Place]) -> Option<[L; 2]> {
+    if vectors.is_empty() {
+        return None;
+    }
+    Some([bundle(places, |place| vectors[place.so_far][0]), bundle(places, |place| vectors[place.so_far][1])])
+}
+
 impl Pixels<'_> {
     /// The prior of pixels.
     #[inline(always)]
     fn prior<L: Lanes>(&self, places: &[Place]) -> Prior<L> {
         let Self { problem, so_far, weighting, .. } = *self;
         let (pixels, so_far_pixels) = (problem.pixels(), so_far.len() / RAW);
-        let mut prior = Prior { mean: [L::splat(0.0); RAW], weight: self.weights(places, weighting) };
+        let mut prior = Prior {
+            mean: [L::splat(0.0); RAW],
+            weight: self.weights(places, weighting),
+            anisotropy: anisotropy_of(self.anisotropy, places),
+        };
         for i in 0..RAW {
-            let share = if (NORMAL..ROUGHNESS).contains(&i) { weighting.network_normal } else { weighting.network };
+            let share = match i {
+                _ if problem.fixed(i) => 0.0,
+                NORMAL..ROUGHNESS => weighting.network_normal,
+                _ => weighting.network,
+            };
             let so_far: L = bundle(places, |place| so_far[i * so_far_pixels + place.so_far]);
             let network: L = bundle(places, |place| problem.start.network[i * pixels + place.pixel]);
             prior.mean[i] = L::splat(1.0 - share) * so_far + L::splat(share) * network;
@@ -180,7 +212,7 @@ impl Pixels<'_> {
         let scale = L::splat((OUTLIER * self.weighting.photo).powi(-2));
         let (weight, cost_of_log) =
             (L::splat(self.weighting.photo.powi(-2)), L::splat(OUTLIER * OUTLIER * std::f64::consts::LN_2));
-        let surface = Surface::new(raw);
+        let surface = Surface::new(raw, prior.anisotropy);
         let mut system = System { cost: zero, gradient: [zero; RAW], matrix: [[zero; RAW]; RAW] };
         let System { cost, gradient, matrix } = &mut system;
         for datum in data {
@@ -228,7 +260,10 @@ impl Pixels<'_> {
                 // At a limit and pushed against it: held.
                 let [low, high] = self.problem.range(i);
                 let (low, high) = (L::splat(low), L::splat(high));
-                let held = (low.ge(raw[i]) & gradient[i].gt(zero)) | (raw[i].ge(high) & zero.gt(gradient[i]));
+                let mut held = (low.ge(raw[i]) & gradient[i].gt(zero)) | (raw[i].ge(high) & zero.gt(gradient[i]));
+                if self.problem.fixed(i) {
+                    held = one.gt(zero);
+                }
                 gradient[i] = L::select(held, zero, gradient[i]);
                 matrix[i][i] = matrix[i][i] * (one + damping) * L::select(held, L::splat(1e6), one);
             }
@@ -313,7 +348,7 @@ impl<R: Real> Kernel<R> for Predict<'_> {
             let mut raw = prior.mean;
             pixels.descend(&data, &mut raw, &prior);
             let seen = Geometry::<L>::of_pixels(pixels.problem.capture, shot, places, |place| place.pixel)
-                .observe(&Surface::new(&raw));
+                .observe(&Surface::new(&raw, prior.anisotropy));
             codes.extend(unbundle(seen.code, places.len()));
         }
         codes
@@ -336,7 +371,7 @@ impl<R: Real> Kernel<R> for Look<'_> {
                 }
                 let CodeJacobian { code, jacobian } =
                     Geometry::<L>::of_pixels(problem.capture, shot, places, |place| place.pixel)
-                        .observe(&Surface::new(&bundles));
+                        .observe(&Surface::new(&bundles, anisotropy_of(problem.start.anisotropy, places)));
                 let [r, g, b] = jacobian;
                 let codes = unbundle(code, places.len());
                 let (r, g, b) = (unbundle(r, places.len()), unbundle(g, places.len()), unbundle(b, places.len()));
@@ -355,6 +390,7 @@ mod tests {
     use crate::brdf::real::Real;
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
+    use crate::fit::options::Reflectance;
     use crate::image::Image;
     use crate::raw::RAW;
     use crate::render::encode_radiance;
@@ -383,11 +419,20 @@ mod tests {
         let raw: Vec<f32> = (0..RAW * PIXELS).map(|i| 0.3 * (i as f32).sin()).collect();
         let deviation = vec![0.15; raw.len()];
         let rehearsal = Rehearsal::default();
-        let start = Start { raw: &raw, network: &raw, deviation: &deviation, rehearsal: &rehearsal };
+        let reflectance = Reflectance::Isotropic;
+        let start = Start {
+            raw: &raw,
+            network: &raw,
+            deviation: &deviation,
+            anisotropy: &[],
+            reflectance,
+            rehearsal: &rehearsal,
+        };
         let problem = Problem { capture: &capture, views, start, roughness_floor: -0.9 };
         let places: Vec<Place> = (0..PIXELS).map(|pixel| Place { pixel, so_far: pixel }).collect();
         let weighting = Weighting { photo: 0.05, normal: 0.3, specular: 1.0, network_normal: 0.0, network: 0.0 };
         let pixels = Pixels {
+            anisotropy: &[],
             problem: &problem,
             places: &places,
             so_far: &raw,

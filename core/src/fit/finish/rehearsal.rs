@@ -2,6 +2,7 @@
 
 use super::LEFT_OUT;
 use crate::capture::Capture;
+use crate::fit::anisotropy;
 use crate::fit::direct::{DirectFit, Folds, light};
 use crate::fit::optim::holdout::{REHEARSAL_SIDE, grid, left_out, thinned_planes};
 use crate::raw::{RAW, encode};
@@ -25,6 +26,8 @@ pub(crate) struct Fold {
     pub without: usize,
     /// Nine planes of raw values of the pixels.
     pub raw: Vec<f32>,
+    /// Their anisotropy; none where lobes are round.
+    pub anisotropy: Vec<[f32; 2]>,
     /// How all photos are taken to be lit.
     pub shots: Vec<Shot>,
 }
@@ -35,8 +38,9 @@ impl Rehearsal {
         let Folds { thinned, pixels, folds } = folds;
         let fold = |(without, direct): (usize, DirectFit)| {
             let mut raw = vec![0.0; RAW * pixels.len()];
-            encode(&direct.maps, floor, &mut raw);
-            Fold { without, raw, shots: light::shots(capture, &direct.gains) }
+            let (round, anisotropy) = anisotropy::split(&direct.maps);
+            encode(&round, floor, &mut raw);
+            Fold { without, raw, anisotropy, shots: light::shots(capture, &direct.gains) }
         };
         let folds = folds.into_iter().map(fold).collect();
         Self { size: [thinned.width(), thinned.height()], pixels, folds }
@@ -47,7 +51,7 @@ impl Rehearsal {
         let (size, pixels) = grid(capture.width(), capture.height(), REHEARSAL_SIDE);
         let raw = thinned_planes(prediction, RAW, &pixels);
         let shots: Vec<Shot> = capture.photos().iter().map(|photo| photo.shot).collect();
-        let fold = |without| Fold { without, raw: raw.clone(), shots: shots.clone() };
+        let fold = |without| Fold { without, raw: raw.clone(), anisotropy: Vec::new(), shots: shots.clone() };
         Self { size, folds: left_out(capture.len(), LEFT_OUT).map(fold).collect(), pixels }
     }
 }

@@ -127,6 +127,7 @@ impl Problem<'_> {
                 problem: self,
                 places,
                 so_far: &fold.raw,
+                anisotropy: &fold.anisotropy,
                 shots: &fold.shots,
                 without: Some(fold.without),
                 weighting,

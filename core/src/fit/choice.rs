@@ -1,0 +1,118 @@
+//! What the scene requires: the simplest reflectance that predicts photos left out as well as richer ones, and whether their light is what is stated.
+//!
+//! Not from the paper.
+
+use serde::Serialize;
+
+use super::direct::fit_folds;
+use crate::capture::Capture;
+use crate::error::Result;
+use crate::fit::optim::holdout::thinned;
+use crate::fit::options::{FitOptions, Refine, Reflectance};
+use crate::progress::Control;
+
+/// From the simplest to the richest.
+const CANDIDATES: [Reflectance; 4] =
+    [Reflectance::Diffuse, Reflectance::Dielectric, Reflectance::Isotropic, Reflectance::Anisotropic];
+/// Photos below which nothing is chosen.
+const PHOTOS_MIN: usize = 3;
+/// Pixels along the longer side, photos left out, and steps, of the fits that compare.
+const SIDE: usize = 48;
+const FOLDS: usize = 4;
+const STEPS: usize = 100;
+/// A richer reflectance has to take away more than this share of the squared error of photos left out; two lobes more than that.
+const GAIN: f64 = 0.01;
+const ANISOTROPIC_GAIN: f64 = 0.15;
+/// Errors (gamma 2.2 codes) below which a round lobe is good enough.
+const ROUND_ENOUGH: f64 = 0.004;
+
+/// The error of photos left out under one reflectance.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Comparison {
+    /// The reflectance.
+    pub reflectance: Reflectance,
+    /// Root mean square of gamma 2.2 codes over the photos left out.
+    pub error: f64,
+}
+
+/// What a scene requires.
+#[derive(Clone, Debug)]
+pub(crate) struct Choice {
+    pub reflectance: Reflectance,
+    pub refine: Refine,
+    /// The errors that decided about the reflectance, simplest first.
+    pub comparisons: Vec<Comparison>,
+}
+
+impl Choice {
+    /// What the options ask for, and for the rest what suits the photos of `capture`.
+    ///
+    /// # Errors
+    /// As [`fit_folds`].
+    pub fn new(capture: &Capture, options: &FitOptions, control: &mut Control<'_>) -> Result<Self> {
+        let FitOptions { mut reflectance, mut refine, .. } = *options;
+        let mut comparisons = Vec::new();
+        if capture.len() < PHOTOS_MIN {
+            if reflectance == Reflectance::Auto {
+                reflectance = Reflectance::Isotropic;
+            }
+            return Ok(Self { reflectance, refine, comparisons });
+        }
+        let (thin, _) = thinned(capture, SIDE)?;
+        let mut error = |reflectance: Reflectance, refine: Refine| {
+            let options = FitOptions { reflectance, refine, direct_steps: Some(STEPS), ..options.clone() };
+            fit_folds(&thin, None, FOLDS, &options, control)?.error()
+        };
+        if reflectance == Reflectance::Auto {
+            for reflectance in CANDIDATES {
+                comparisons.push(Comparison { reflectance, error: error(reflectance, refine)? });
+            }
+            reflectance = simplest(&comparisons);
+        }
+        if refine == Refine::Auto {
+            let refined = comparisons.iter().find(|one| one.reflectance == reflectance).map(|one| one.error);
+            let refined = refined.map_or_else(|| error(reflectance, Refine::Light), Ok)?;
+            let stated = error(reflectance, Refine::None)?;
+            tracing::debug!("photos left out, light as stated and refined: {stated:.4}, {refined:.4}");
+            refine = if refined.powi(2) < (1.0 - GAIN) * stated.powi(2) { Refine::Light } else { Refine::None };
+        }
+        tracing::debug!("reflectance {}, refine {}: {comparisons:?}", reflectance.name(), refine.name());
+        Ok(Self { reflectance, refine, comparisons })
+    }
+}
+
+/// The simplest of which no richer one is much better.
+fn simplest(comparisons: &[Comparison]) -> Reflectance {
+    let worse = |simple: &Comparison, rich: &Comparison| {
+        let (gain, enough) = match rich.reflectance {
+            Reflectance::Anisotropic => (ANISOTROPIC_GAIN, ROUND_ENOUGH),
+            _ => (GAIN, 0.0),
+        };
+        rich.error.powi(2) < (1.0 - gain) * simple.error.powi(2) && simple.error > enough
+    };
+    let suits = |(i, simple): &(usize, &Comparison)| !comparisons[i + 1..].iter().any(|rich| worse(simple, rich));
+    let found = comparisons.iter().enumerate().find(suits);
+    found.map_or(Reflectance::Isotropic, |(_, comparison)| comparison.reflectance)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{CANDIDATES, Comparison, simplest};
+    use crate::fit::options::Reflectance;
+
+    #[test]
+    fn ties_are_for_the_simpler_one() {
+        let chosen = |errors: [f64; 4]| {
+            let comparison = |(reflectance, error)| Comparison { reflectance, error };
+            simplest(&CANDIDATES.into_iter().zip(errors).map(comparison).collect::<Vec<_>>())
+        };
+        assert_eq!(chosen([0.05; 4]), Reflectance::Diffuse);
+        assert_eq!(chosen([0.05, 0.04, 0.04, 0.04]), Reflectance::Dielectric);
+        assert_eq!(chosen([0.05, 0.045, 0.04, 0.039]), Reflectance::Isotropic);
+        assert_eq!(chosen([0.05, 0.045, 0.04, 0.02]), Reflectance::Anisotropic);
+        assert_eq!(chosen([0.003, 0.002, 0.002, 0.001]), Reflectance::Dielectric);
+        // A richer one may be worse.
+        assert_eq!(chosen([0.05, 0.04, 0.06, 0.06]), Reflectance::Dielectric);
+    }
+}
