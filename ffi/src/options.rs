@@ -7,7 +7,7 @@ use svbrdf_gcn::capture::MAX_PHOTOS;
 use svbrdf_gcn::io::material::{MaterialFormat, SaveOptions};
 use svbrdf_gcn::{
     CancelToken, CaptureOptions, ColorSpace, ExportOptions, ExportTarget, FitOptions, Method, NormalConvention, Preset,
-    Shot, Transfer,
+    Refine, Reflectance, Shot, Transfer,
 };
 
 use crate::guard::{guard, text};
@@ -20,6 +20,8 @@ use svbrdf_gcn_format::*;
 use svbrdf_gcn_method::*;
 use svbrdf_gcn_normals::*;
 use svbrdf_gcn_preset::*;
+use svbrdf_gcn_refine::*;
+use svbrdf_gcn_reflectance::*;
 use svbrdf_gcn_transfer::*;
 
 /// The largest `struct_size` that is believed.
@@ -169,6 +171,32 @@ pub enum svbrdf_gcn_method {
     SVBRDF_GCN_METHOD_DIRECT = 2,
 }
 
+/// What a surface is taken to be made of. All maps come out in any case.
+#[repr(i32)]
+pub enum svbrdf_gcn_reflectance {
+    /// The simplest that predicts photos left out as well as the others do; isotropic with one or two photos.
+    SVBRDF_GCN_REFLECTANCE_AUTO = 0,
+    /// Lambert's law alone: specular albedo 0, roughness 1.
+    SVBRDF_GCN_REFLECTANCE_DIFFUSE = 1,
+    /// A specular albedo near 4 %, the same for all channels.
+    SVBRDF_GCN_REFLECTANCE_DIELECTRIC = 2,
+    /// Any specular albedo, metals too.
+    SVBRDF_GCN_REFLECTANCE_ISOTROPIC = 3,
+    /// Two roughnesses and a tangent: brushed metal, satin, hair.
+    SVBRDF_GCN_REFLECTANCE_ANISOTROPIC = 4,
+}
+
+/// What of the capture's own statements a fit may correct.
+#[repr(i32)]
+pub enum svbrdf_gcn_refine {
+    /// The light where photos left out are predicted better with it, else nothing.
+    SVBRDF_GCN_REFINE_AUTO = 0,
+    /// Nothing: the stated light exactly.
+    SVBRDF_GCN_REFINE_NONE = 1,
+    /// A factor on the stated light of each photo.
+    SVBRDF_GCN_REFINE_LIGHT = 2,
+}
+
 /// How stored pixel values relate to linear radiance. It is always stated, never guessed.
 #[repr(i32)]
 pub enum svbrdf_gcn_transfer {
@@ -264,6 +292,10 @@ pub struct svbrdf_gcn_options {
     pub cancel: *const svbrdf_gcn_cancel_token,
     /// Steps of the per-pixel finish; -1, the default: the preset's; 0: none.
     pub finish_steps: i64,
+    /// A `svbrdf_gcn_reflectance`; auto by default. A network of the paper's form takes auto alone.
+    pub reflectance: i32,
+    /// A `svbrdf_gcn_refine`; auto by default.
+    pub refine: i32,
 }
 
 impl SizeFirst for svbrdf_gcn_options {
@@ -286,6 +318,8 @@ impl SizeFirst for svbrdf_gcn_options {
             progress: None,
             progress_user_data: ptr::null_mut(),
             cancel: ptr::null(),
+            reflectance: SVBRDF_GCN_REFLECTANCE_AUTO as i32,
+            refine: SVBRDF_GCN_REFINE_AUTO as i32,
         }
     }
 }
@@ -302,8 +336,22 @@ impl svbrdf_gcn_options {
             (SVBRDF_GCN_METHOD_NETWORK as i32, Method::Network),
             (SVBRDF_GCN_METHOD_DIRECT as i32, Method::Direct),
         ];
+        let reflectance = [
+            (SVBRDF_GCN_REFLECTANCE_AUTO as i32, Reflectance::Auto),
+            (SVBRDF_GCN_REFLECTANCE_DIFFUSE as i32, Reflectance::Diffuse),
+            (SVBRDF_GCN_REFLECTANCE_DIELECTRIC as i32, Reflectance::Dielectric),
+            (SVBRDF_GCN_REFLECTANCE_ISOTROPIC as i32, Reflectance::Isotropic),
+            (SVBRDF_GCN_REFLECTANCE_ANISOTROPIC as i32, Reflectance::Anisotropic),
+        ];
+        let refine = [
+            (SVBRDF_GCN_REFINE_AUTO as i32, Refine::Auto),
+            (SVBRDF_GCN_REFINE_NONE as i32, Refine::None),
+            (SVBRDF_GCN_REFINE_LIGHT as i32, Refine::Light),
+        ];
         let mut options = FitOptions::preset(choose("preset", self.preset, &preset)?)
             .method(choose("method", self.method, &method)?)
+            .reflectance(choose("reflectance", self.reflectance, &reflectance)?)
+            .refine(choose("refine", self.refine, &refine)?)
             .seed(self.seed)
             .cancel(cancel);
         options.latent_steps = given("latent_steps", self.latent_steps)?;

@@ -781,6 +781,14 @@ typedef struct svbrdf_gcn_options {
    * Steps of the per-pixel finish; -1, the default: the preset's; 0: none.
    */
   int64_t finish_steps;
+  /**
+   * A `svbrdf_gcn_reflectance`; auto by default. A network of the paper's form takes auto alone.
+   */
+  int32_t reflectance;
+  /**
+   * A `svbrdf_gcn_refine`; auto by default.
+   */
+  int32_t refine;
 } svbrdf_gcn_options;
 
 /**

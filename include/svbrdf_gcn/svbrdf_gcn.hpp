@@ -94,6 +94,22 @@ enum class Method : std::int32_t {
     Direct = SVBRDF_GCN_METHOD_DIRECT,
 };
 
+/// What a surface is taken to be made of.
+enum class Reflectance : std::int32_t {
+    Auto = SVBRDF_GCN_REFLECTANCE_AUTO,
+    Diffuse = SVBRDF_GCN_REFLECTANCE_DIFFUSE,
+    Dielectric = SVBRDF_GCN_REFLECTANCE_DIELECTRIC,
+    Isotropic = SVBRDF_GCN_REFLECTANCE_ISOTROPIC,
+    Anisotropic = SVBRDF_GCN_REFLECTANCE_ANISOTROPIC,
+};
+
+/// What of the capture's own statements a fit may correct.
+enum class Refine : std::int32_t {
+    Auto = SVBRDF_GCN_REFINE_AUTO,
+    None = SVBRDF_GCN_REFINE_NONE,
+    Light = SVBRDF_GCN_REFINE_LIGHT,
+};
+
 enum class Transfer : std::int32_t {
     FromCapture = SVBRDF_GCN_TRANSFER_FROM_CAPTURE,
     Gamma22 = SVBRDF_GCN_TRANSFER_GAMMA22,
@@ -271,6 +287,10 @@ struct CaptureOptions {
 struct Options {
     Preset preset = Preset::Balanced;
     Method method = Method::Auto;
+    /// What the surface is taken to be made of; a network of the paper's form takes auto alone.
+    Reflectance reflectance = Reflectance::Auto;
+    /// What of the capture's statements may be corrected.
+    Refine refine = Refine::Auto;
     /// Path of other weights than those built in, for those who load no Model.
     std::string weights;
     /// Steps of the stages, instead of the preset's.
@@ -512,6 +532,8 @@ inline Material fit(const svbrdf_gcn_model *model, const Capture &capture, const
     auto converted = initialised(svbrdf_gcn_options_init);
     converted.preset = static_cast<std::int32_t>(options.preset);
     converted.method = static_cast<std::int32_t>(options.method);
+    converted.reflectance = static_cast<std::int32_t>(options.reflectance);
+    converted.refine = static_cast<std::int32_t>(options.refine);
     converted.weights = options.weights.empty() ? nullptr : options.weights.c_str();
     converted.latent_steps = options.latent_steps.value_or(-1);
     converted.adapter_steps = options.adapter_steps.value_or(-1);

@@ -29,6 +29,8 @@ def fit_options(settings):
     return {
         "preset": settings.preset,
         "method": settings.method,
+        "reflectance": settings.reflectance,
+        "refine": settings.refine,
         "weights": absolute(settings.weights) or None,
         "latent_steps": steps(settings.latent_steps),
         "adapter_steps": steps(settings.adapter_steps),

@@ -88,6 +88,26 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
             ("direct", "Direct", "Without a network"),
         ],
     )
+    reflectance: EnumProperty(
+        name="Reflectance",
+        description="What the surface is made of",
+        items=[
+            ("auto", "Auto", "The simplest that predicts photos left out as well as the others do"),
+            ("diffuse", "Diffuse", "No specular reflection"),
+            ("dielectric", "Dielectric", "Specular albedo near 4 %"),
+            ("isotropic", "Isotropic", "Any specular albedo, metals too"),
+            ("anisotropic", "Anisotropic", "Two roughnesses and a tangent: brushed metal, satin, hair"),
+        ],
+    )
+    refine: EnumProperty(
+        name="Refine",
+        description="What of the stated light may be corrected",
+        items=[
+            ("auto", "Auto", "The light of each photo, where photos left out are predicted better with it"),
+            ("none", "None", "The stated light exactly"),
+            ("light", "Light", "A factor on the light of each photo"),
+        ],
+    )
     weights: StringProperty(name="Weights", description="Other weights than those built in (safetensors)", subtype="FILE_PATH")
     latent_steps: IntProperty(name="Latent Steps", description="Steps on the latent code; -1: the preset's", default=-1, min=-1)
     adapter_steps: IntProperty(name="Adapter Steps", description="Steps on the adapters; -1: the preset's", default=-1, min=-1)

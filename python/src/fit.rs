@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use pyo3::prelude::*;
 use svbrdf_gcn::nn::Model;
-use svbrdf_gcn::{CancelToken, Capture, FitOptions, Method, Preset, fit_material};
+use svbrdf_gcn::{CancelToken, Capture, FitOptions, Method, Preset, Refine, Reflectance, fit_material};
 
 use crate::capture::{Reading, Setup, capture};
 use crate::errors::{PAUSE, detached};
@@ -194,6 +194,11 @@ impl PyModel {
 ///     How much time to spend.
 /// method : {"auto", "network", "direct"}, default "auto"
 ///     How to get from photos to maps; auto: network.
+/// reflectance : {"auto", "diffuse", "dielectric", "isotropic", "anisotropic"}, default "auto"
+///     What the surface is taken to be made of; auto: the simplest that predicts photos left out as well as the others do. All maps come
+///     out in any case. A network of the paper's form takes ``"auto"`` alone.
+/// refine : {"auto", "none", "light"}, default "auto"
+///     What of the capture's statements may be corrected; auto: the light of each photo, where photos left out are predicted better with it.
 /// weights : Model, str or os.PathLike, optional
 ///     Other weights than those built in.
 /// latent_steps, adapter_steps, direct_steps, finish_steps : int, optional
@@ -240,7 +245,7 @@ impl PyModel {
 #[pyfunction]
 #[pyo3(name = "fit_material", signature = (capture_or_photos, *, camera_positions = None, light_positions = None,
     patch_size = None, light_intensity = None, transfer = None, color_space = None, ignore_profiles = Given::Default(false), size = None, views = None, white_level = None,
-    preset = Given::Default("balanced".into()), method = Given::Default("auto".into()), weights = None, latent_steps = None, adapter_steps = None, direct_steps = None, finish_steps = None,
+    preset = Given::Default("balanced".into()), method = Given::Default("auto".into()), reflectance = Given::Default("auto".into()), refine = Given::Default("auto".into()), weights = None, latent_steps = None, adapter_steps = None, direct_steps = None, finish_steps = None,
     max_memory = None, seed = Given::Default(0), threads = None, early_stop = None, progress = None, cancel = None))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn py_fit_material<'py>(
@@ -258,6 +263,8 @@ pub fn py_fit_material<'py>(
     white_level: Option<Given<'py, f32>>,
     preset: Given<'py, String>,
     method: Given<'py, String>,
+    reflectance: Given<'py, String>,
+    refine: Given<'py, String>,
     weights: Option<Given<'py, Weights<'py>>>,
     latent_steps: Option<Given<'py, i128>>,
     adapter_steps: Option<Given<'py, i128>>,
@@ -272,6 +279,8 @@ pub fn py_fit_material<'py>(
 ) -> PyResult<PyMaterial> {
     let mut options = FitOptions::preset(choice("preset", &preset.take("preset")?, &PRESETS, preset_name)?);
     options.method = choice("method", &method.take("method")?, &METHODS, method_name)?;
+    options.reflectance = choice("reflectance", &reflectance.take("reflectance")?, &REFLECTANCES, Reflectance::name)?;
+    options.refine = choice("refine", &refine.take("refine")?, &REFINES, Refine::name)?;
     options.latent_steps = maybe_count("latent_steps", latent_steps)?;
     options.adapter_steps = maybe_count("adapter_steps", adapter_steps)?;
     options.direct_steps = maybe_count("direct_steps", direct_steps)?;
@@ -317,6 +326,16 @@ fn preset_name(preset: Preset) -> &'static str {
 }
 
 const METHODS: [Method; 3] = [Method::Auto, Method::Network, Method::Direct];
+
+const REFLECTANCES: [Reflectance; 5] = [
+    Reflectance::Auto,
+    Reflectance::Diffuse,
+    Reflectance::Dielectric,
+    Reflectance::Isotropic,
+    Reflectance::Anisotropic,
+];
+
+const REFINES: [Refine; 3] = [Refine::Auto, Refine::None, Refine::Light];
 
 fn method_name(method: Method) -> &'static str {
     match method {

@@ -4,7 +4,7 @@
 
 use serde::Serialize;
 
-use super::direct::fit_folds;
+use super::direct::{FoldRelief, PHOTO_DEVIATION, fit_folds};
 use crate::capture::Capture;
 use crate::error::Result;
 use crate::fit::optim::holdout::thinned;
@@ -17,12 +17,16 @@ const CANDIDATES: [Reflectance; 4] =
 /// Photos below which nothing is chosen.
 const PHOTOS_MIN: usize = 3;
 /// Pixels along the longer side, photos left out, and steps, of the fits that compare.
-const SIDE: usize = 48;
-const FOLDS: usize = 4;
+const SIDE: usize = 40;
+const FOLDS: usize = 3;
 const STEPS: usize = 100;
 /// A richer reflectance has to take away more than this share of the squared error of photos left out; two lobes more than that.
 const GAIN: f64 = 0.01;
 const ANISOTROPIC_GAIN: f64 = 0.15;
+/// Share of the squared error that the stated light has to take away from the refined one.
+const LIGHT_GAIN: f64 = 0.005;
+/// Share of pixels whose specular albedo is a metal's above which the simpler reflectances do not count.
+const METALLIC_SHARE: f64 = 0.01;
 /// Errors (gamma 2.2 codes) below which a round lobe is good enough.
 const ROUND_ENOUGH: f64 = 0.004;
 
@@ -60,22 +64,28 @@ impl Choice {
             return Ok(Self { reflectance, refine, comparisons });
         }
         let (thin, _) = thinned(capture, SIDE)?;
-        let mut error = |reflectance: Reflectance, refine: Refine| {
+        let mut folds = |reflectance: Reflectance, refine: Refine| {
             let options = FitOptions { reflectance, refine, direct_steps: Some(STEPS), ..options.clone() };
-            fit_folds(&thin, None, FOLDS, &options, control)?.error()
+            fit_folds(&thin, FoldRelief::Flat, Some(PHOTO_DEVIATION), FOLDS, &options, control)
         };
         if reflectance == Reflectance::Auto {
+            let mut metallic = false;
             for reflectance in CANDIDATES {
-                comparisons.push(Comparison { reflectance, error: error(reflectance, refine)? });
+                let folds = folds(reflectance, refine)?;
+                metallic |= reflectance == Reflectance::Isotropic && folds.metallic_share() > METALLIC_SHARE;
+                comparisons.push(Comparison { reflectance, error: folds.error()? });
             }
-            reflectance = simplest(&comparisons);
+            // Paint beside metal may be predicted well without the metal.
+            let simpler = if metallic { &comparisons[2..] } else { &comparisons };
+            reflectance = simplest(simpler);
         }
         if refine == Refine::Auto {
             let refined = comparisons.iter().find(|one| one.reflectance == reflectance).map(|one| one.error);
-            let refined = refined.map_or_else(|| error(reflectance, Refine::Light), Ok)?;
-            let stated = error(reflectance, Refine::None)?;
+            let refined = refined.map_or_else(|| folds(reflectance, Refine::Light)?.error(), Ok)?;
+            let stated = folds(reflectance, Refine::None)?.error()?;
             tracing::debug!("photos left out, light as stated and refined: {stated:.4}, {refined:.4}");
-            refine = if refined.powi(2) < (1.0 - GAIN) * stated.powi(2) { Refine::Light } else { Refine::None };
+            // Light is seldom known exactly: as stated where that is clearly better.
+            refine = if stated.powi(2) < (1.0 - LIGHT_GAIN) * refined.powi(2) { Refine::None } else { Refine::Light };
         }
         tracing::debug!("reflectance {}, refine {}: {comparisons:?}", reflectance.name(), refine.name());
         Ok(Self { reflectance, refine, comparisons })

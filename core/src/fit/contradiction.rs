@@ -7,8 +7,8 @@
 
 use crate::capture::{Capture, Photo};
 use crate::error::Result;
-use crate::fit::direct::fit_direct;
 use crate::fit::direct::light;
+use crate::fit::direct::{Relief, fit_direct};
 use crate::fit::optim::holdout::thinned;
 use crate::fit::options::FitOptions;
 use crate::progress::Control;
@@ -77,7 +77,7 @@ pub(super) fn contradicting(capture: &Capture, options: &FitOptions, control: &m
 /// How far a fit is from the photos, as a root mean square of gamma 2.2 codes: from all, and from each.
 fn errors(capture: &Capture, options: &FitOptions, control: &mut Control<'_>) -> Result<(f64, Vec<f64>)> {
     control.poll()?;
-    let fit = |control: &mut Control<'_>| fit_direct(capture, None, options, &mut Vec::new(), control);
+    let fit = |control: &mut Control<'_>| fit_direct(capture, Relief::Flat, options, &mut Vec::new(), control);
     let (direct, _) = Control::silently(options.cancel.clone(), fit)?;
     let shots = light::shots(capture, &direct.gains);
     let error = |(photo, shot): (&Photo, Shot)| -> Result<f64> {

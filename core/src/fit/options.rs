@@ -50,6 +50,16 @@ impl Preset {
         }
     }
 
+    /// How often the stages direct and finish run, each time from the relief that was found before; one is kept only if it predicts photos left out
+    /// better.
+    pub const fn passes(self) -> usize {
+        match self {
+            Self::Draft => 1,
+            Self::Balanced => 2,
+            Self::High => 4,
+        }
+    }
+
     /// Steps on the maps themselves. More than 300 fit the photos better and new ones worse.
     pub const fn direct_steps(self) -> usize {
         match self {

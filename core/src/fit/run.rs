@@ -5,9 +5,9 @@ use std::sync::mpsc;
 
 use super::anisotropy;
 use super::choice::Choice;
-use super::direct::{DirectFit, Folds, correct, fit_direct, fit_folds, light, relief};
+use super::direct::{DirectFit, FoldRelief, Relief, correct, fit_direct, fit_folds, relief, relief_of_raw};
 use super::encode::{Prediction, encode};
-use super::finish::{Finished, LEFT_OUT, Rehearsal, Start, Weighting, finish};
+use super::finish::{Finished, Judgement, LEFT_OUT, Problem, Rehearsal, Start, Weighting};
 use super::paper::fit_network;
 use super::plan::Route;
 use crate::cancel::CancelToken;
@@ -20,7 +20,10 @@ use crate::fit::verdict::Expected;
 use crate::maps::{Lobe, Maps};
 use crate::nn::PhotoGraph;
 use crate::progress::{Control, Progress, ProgressFn, Stage};
-use crate::raw;
+use crate::raw::{self, RAW};
+
+/// Share of the error of photos left out that another pass has to take away.
+const PASS_GAIN: f64 = 0.01;
 
 /// What a run has come to.
 pub(crate) struct State {
@@ -76,88 +79,107 @@ pub(crate) fn run(
     let state = match route {
         // Left above.
         Route::Direct | Route::Paper(_) => {
-            let (DirectFit { maps, gains }, _) = fit_direct(capture, None, options, &mut stages, control)?;
-            let expected = fit_folds(capture, None, LEFT_OUT, options, control)?.expected()?;
+            let (DirectFit { maps, gains }, _) = fit_direct(capture, Relief::Flat, options, &mut stages, control)?;
+            let expected = fit_folds(capture, FoldRelief::Flat, None, LEFT_OUT, options, control)?.expected()?;
             let gains = (refine != Refine::None).then_some(gains);
             State { expected, ..State::new(maps, gains, stages) }
         }
-        Route::Graph(graph) => {
-            let prediction = encode(capture, graph, &mut stages, control)?;
-            let (state, folds) = share(capture, &prediction, options, stages, control)?;
-            match options.steps(Stage::Finish) {
-                0 => state,
-                _ => finish_maps(capture, graph, &prediction, state, folds, options, control)?,
-            }
-        }
+        Route::Graph(graph) => fit_graph(capture, graph, stages, options, control)?,
     };
     Ok(State { choice, ..state })
 }
 
-/// Stage direct beside a prediction: what pixels have in common is fitted to the photos, from a flat start or, where there is a single photo, near the
-/// prediction. With the folds that the finish judges by, if any.
-fn share(
-    capture: &Capture,
-    prediction: &Prediction,
-    options: &FitOptions,
-    mut stages: Vec<StageReport>,
-    control: &mut Control<'_>,
-) -> Result<(State, Option<Folds>)> {
-    if options.steps(Stage::Direct) == 0 {
-        return Ok((State::new(prediction.maps.clone(), None, stages), None));
-    }
-    let relief = relief(&prediction.maps);
-    // One photo does not show both widths of a lobe: the prediction would be no start.
-    if capture.len() == 1 && options.reflectance != Reflectance::Anisotropic {
-        let maps = correct(capture, &prediction.maps, relief, options, &mut stages, control)?;
-        return Ok((State::new(maps, None, stages), None));
-    }
-    let (direct, taken) = fit_direct(capture, Some(&relief), options, &mut stages, control)?;
-    let folds = match options.steps(Stage::Finish) {
-        0 => None,
-        _ => Some(fit_folds(capture, taken.as_deref(), LEFT_OUT, options, control)?),
-    };
-    let gains = (options.refine != Refine::None).then_some(direct.gains);
-    Ok((State::new(direct.maps, gains, stages), folds))
-}
-
-/// Stage finish: every pixel by itself, near the maps of `state`.
-fn finish_maps(
+/// Stages encode, direct and finish; the latter two again while that predicts photos left out better.
+fn fit_graph(
     capture: &Capture,
     graph: &PhotoGraph,
-    prediction: &Prediction,
-    mut state: State,
-    folds: Option<Folds>,
+    mut stages: Vec<StageReport>,
     options: &FitOptions,
     control: &mut Control<'_>,
 ) -> Result<State> {
+    let prediction = encode(capture, graph, &mut stages, control)?;
+    let predicted = relief(&prediction.maps);
+    let mut state = State::new(prediction.maps.clone(), None, stages);
+    let share_steps = options.steps(Stage::Direct);
+    // One photo shows the shape of the highlight over the whole image, but not both widths of a lobe.
+    let correcting = share_steps > 0 && capture.len() == 1 && options.reflectance != Reflectance::Anisotropic;
+    let sharing = share_steps > 0 && !correcting;
+    let mut taken = None;
+    if correcting {
+        state.maps = correct(capture, &prediction.maps, predicted, options, &mut state.stages, control)?;
+    } else if sharing {
+        taken = share(capture, Relief::Predicted(&predicted), &mut state, options, control)?;
+    }
+    if options.steps(Stage::Finish) == 0 {
+        return Ok(state);
+    }
     let floor = graph.config().roughness_floor;
-    let rehearsal = match folds {
-        _ if capture.len() == 1 => Rehearsal::default(),
-        Some(folds) => Rehearsal::of_direct(capture, folds, floor),
+    let Prediction { raw: network, deviation, .. } = &prediction;
+    let problem = Problem::new(capture, network, deviation, options.reflectance, f64::from(floor))?;
+    let rehearsal = if capture.len() == 1 {
+        Rehearsal::default()
+    } else if sharing {
+        let relief = taken.as_deref().map_or(FoldRelief::Flat, FoldRelief::Common);
+        Rehearsal::of_direct(capture, fit_folds(capture, relief, None, LEFT_OUT, options, control)?, floor)
+    } else {
         // The prediction hardly changes where a photo is left out.
-        None => Rehearsal::of_prediction(capture, &prediction.raw),
+        Rehearsal::of_prediction(capture, network)
     };
-    let mut shared = prediction.raw.clone();
+    let mut judgement = problem.judge(&rehearsal, control)?;
+    state = finish(&problem, &judgement, state, graph, options, control)?;
+    let passes = if sharing && capture.len() > 2 { options.preset.passes() } else { 1 };
+    for _ in 1..passes {
+        let reliefs: Vec<Vec<f32>> = judgement.folds.iter().map(|raw| relief_of_raw(raw)).collect();
+        let folds = fit_folds(capture, FoldRelief::Each(&reliefs), None, LEFT_OUT, options, control)?;
+        let next = problem.judge(&Rehearsal::of_direct(capture, folds, floor), control)?;
+        let [before, after] = [&judgement, &next].map(|one| one.expected.map_or(0.0, |expected| expected.error));
+        tracing::debug!("photos left out, before another pass and after it: {before:.4}, {after:.4}");
+        if after > (1.0 - PASS_GAIN) * before {
+            break;
+        }
+        judgement = next;
+        let found = relief(&state.maps);
+        share(capture, Relief::Found(&found), &mut state, options, control)?;
+        state = finish(&problem, &judgement, state, graph, options, control)?;
+    }
+    Ok(state)
+}
+
+/// Stage direct: what pixels have in common is fitted to the photos, from a flat start or with a relief. Gives the relief that was taken.
+fn share(
+    capture: &Capture,
+    relief: Relief<'_>,
+    state: &mut State,
+    options: &FitOptions,
+    control: &mut Control<'_>,
+) -> Result<Option<Vec<f32>>> {
+    let (direct, taken) = fit_direct(capture, relief, options, &mut state.stages, control)?;
+    state.maps = direct.maps;
+    state.gains = (options.refine != Refine::None).then_some(direct.gains);
+    Ok(taken)
+}
+
+/// Stage finish: every pixel by itself, near the maps of `state`.
+fn finish(
+    problem: &Problem<'_>,
+    judgement: &Judgement,
+    mut state: State,
+    graph: &PhotoGraph,
+    options: &FitOptions,
+    control: &mut Control<'_>,
+) -> Result<State> {
     let (round, anisotropy) = anisotropy::split(&state.maps);
-    raw::encode(&round, floor, &mut shared);
-    let Prediction { raw: network, deviation, .. } = prediction;
-    let start = Start {
-        raw: &shared,
-        network,
-        deviation,
-        anisotropy: &anisotropy,
-        reflectance: options.reflectance,
-        rehearsal: &rehearsal,
-    };
-    let shots = light::shots(capture, state.gains.as_deref().unwrap_or(&vec![1.0; capture.len()]));
+    let mut shared = vec![0.0; RAW * round.width() * round.height()];
+    raw::encode(&round, graph.config().roughness_floor, &mut shared);
+    let shots = problem.shots(state.gains.as_deref());
+    let start = Start { raw: &shared, anisotropy: &anisotropy, shots: &shots };
     let steps = options.steps(Stage::Finish);
-    let Finished { raw, deviation, weighting, expected } =
-        finish(capture, &shots, start, f64::from(floor), steps, &mut state.stages, control)?;
+    let Finished { raw, deviation, expected } = problem.finish(start, judgement, steps, &mut state.stages, control)?;
     let mut round = round.into_owned();
     graph.decoding()?.decode(&raw, &mut round)?;
     let deviations = Some(raw::deviations(&round, &deviation)?);
     state.maps = anisotropy::join(round, &anisotropy)?;
-    Ok(State { deviations, weighting: Some(weighting), expected: Some(expected), ..state })
+    Ok(State { deviations, weighting: Some(judgement.weighting), expected: Some(expected), ..state })
 }
 
 /// Runs `work` on the threads of `pool` while the calling thread serves its progress: callbacks of hosts are bound to the thread they

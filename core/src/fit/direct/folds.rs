@@ -11,6 +11,9 @@ use crate::metrics::{photo_rmse, photo_rmse_smooth_gain};
 use crate::progress::Control;
 use crate::render::{photo_loss, render_maps};
 
+/// The largest specular albedo of dielectrics: that of gems is a little less.
+const DIELECTRIC_MAX: f32 = 0.15;
+
 /// What [`fit_direct`](super::fit_direct) finds on some pixels where one photo is left out.
 pub(crate) struct Folds {
     /// All photos on a regular grid of pixels, and which pixels of the capture these are.
@@ -21,6 +24,17 @@ pub(crate) struct Folds {
 }
 
 impl Folds {
+    /// Share of pixels whose specular albedo, its mean over the channels, is above that of dielectrics: the mean over folds.
+    pub fn metallic_share(&self) -> f64 {
+        let share = |(_, direct): &(usize, DirectFit)| {
+            let first = direct.maps.lobe().specular_plane();
+            let [r, g, b] = [0, 1, 2].map(|c| direct.maps.plane(first + c));
+            let metallic = (0..r.len()).filter(|&p| r[p] + g[p] + b[p] > 3.0 * DIELECTRIC_MAX);
+            metallic.count() as f64 / r.len() as f64
+        };
+        self.folds.iter().map(share).sum::<f64>() / self.folds.len().max(1) as f64
+    }
+
     /// Root mean square of the errors (gamma 2.2 codes) of the photos left out, each under the light that suits it best.
     pub fn error(&self) -> Result<f64> {
         let mut sum = 0.0;
@@ -47,29 +61,47 @@ impl Folds {
     }
 }
 
+/// The relief of each fold.
+#[derive(Clone, Copy)]
+pub(crate) enum FoldRelief<'a> {
+    Flat,
+    /// The same for all, of the whole capture.
+    Common(&'a [f32]),
+    /// One each, on the fold's pixels.
+    Each(&'a [Vec<f32>]),
+}
+
 /// [`fit_direct`](super::fit_direct) without one photo, for each of some photos, on a part of the pixels: maps that can be judged on that photo. `relief` as it was chosen
-/// for all photos.
+/// for all photos. `photo_deviation`: what photos are taken to miss, so that fits of different reflectances compare.
 ///
 /// # Errors
 /// As [`fit_direct`](super::fit_direct).
 pub(crate) fn fit_folds(
     capture: &Capture,
-    relief: Option<&[f32]>,
+    relief: FoldRelief<'_>,
+    photo_deviation: Option<f64>,
     most: usize,
     options: &FitOptions,
     control: &mut Control<'_>,
 ) -> Result<Folds> {
     let (thin, pixels) = thinned(capture, REHEARSAL_SIDE)?;
-    let relief = relief.map(|relief| thinned_planes(relief, 2, &pixels));
+    let common = match relief {
+        FoldRelief::Common(relief) => Some(thinned_planes(relief, 2, &pixels)),
+        FoldRelief::Flat | FoldRelief::Each(_) => None,
+    };
     let mut folds = Vec::new();
     // A single photo cannot be left out.
     let count = if capture.len() > 1 { capture.len() } else { 0 };
-    for without in left_out(count, most) {
+    for (fold, without) in left_out(count, most).enumerate() {
         control.poll()?;
         let rest: Vec<usize> = (0..capture.len()).filter(|&photo| photo != without).collect();
         let rest = thin.select(&rest)?;
-        let mut problem = Problem::new(&rest, crate::fit::targets(&rest)?, options.reflectance, options.seed)?;
-        problem.parameters.relief.clone_from(&relief);
+        let relief = match relief {
+            FoldRelief::Each(reliefs) => Some(reliefs[fold].clone()),
+            FoldRelief::Flat | FoldRelief::Common(_) => common.clone(),
+        };
+        let mut problem = Problem::new(&rest, crate::fit::targets(&rest)?, relief, options)?;
+        problem.prior.photo = photo_deviation.unwrap_or(problem.prior.photo);
         let fit = |control: &mut Control<'_>| problem.fit_in_rounds(&rest, options, control);
         let (mut direct, _) = Control::silently(options.cancel.clone(), fit)?;
         let gain = match options.refine {

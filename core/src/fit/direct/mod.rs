@@ -37,11 +37,12 @@ use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, ROUGHNESS_PLANE};
 use crate::progress::{Control, Stage};
 use crate::render::{Target, photo_loss};
 
-pub(crate) use folds::{Folds, fit_folds};
+pub(crate) use folds::{FoldRelief, Folds, fit_folds};
 use groups::{Membership, colour_groups};
 use parameters::{GROUP_STEP, Layout, Parameters, TILT_STEP, inside, logit, logits};
-use prior::{DIELECTRIC_DEVIATION, FLAT, PHOTO_DEVIATION, PREDICTED, Prior, PriorSigmas, TILT_DEVIATION};
-pub(super) use relief::relief;
+pub(super) use prior::PHOTO_DEVIATION;
+use prior::{ANISOTROPIC_PHOTO_DEVIATION, DIELECTRIC_DEVIATION, FLAT, PREDICTED, Prior, PriorSigmas, TILT_DEVIATION};
+pub(super) use relief::{relief, relief_of_raw};
 use start::{GroupLobe, search};
 
 /// Colour groups, and how many at most where they only correct a prediction.
@@ -74,16 +75,24 @@ pub(crate) struct DirectFit {
     pub gains: Vec<f64>,
 }
 
-/// Fits isotropic maps to all photos of `capture`. Gives the relief, too, where it was taken.
-///
-/// `relief`: two planes of slopes that the surface may have beside leaning as a whole. Whether it has them or is flat is chosen by predicting
-/// photos that are left out.
+/// The slopes that a surface has beside leaning as a whole, two planes.
+#[derive(Clone, Copy)]
+pub(crate) enum Relief<'a> {
+    /// None, but for small ones of each pixel.
+    Flat,
+    /// These, or none: what predicts photos that are left out better.
+    Predicted(&'a [f32]),
+    /// These.
+    Found(&'a [f32]),
+}
+
+/// Fits maps to all photos of `capture`. Gives the relief, too, where it was taken.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the photos' loss is not finite at the start.
 pub(crate) fn fit_direct(
     capture: &Capture,
-    relief: Option<&[f32]>,
+    relief: Relief<'_>,
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
@@ -91,12 +100,15 @@ pub(crate) fn fit_direct(
     let begun = Instant::now();
     let steps = options.steps(Stage::Direct);
     control.report(Stage::Direct, 0, steps, None)?;
-    let relief = match relief.filter(|_| capture.len() > 2) {
-        Some(relief) if relief::predicts_better(relief, capture, options, control)? => Some(relief.to_vec()),
-        _ => None,
+    let relief = match relief {
+        Relief::Found(relief) => Some(relief),
+        Relief::Predicted(relief) if capture.len() > 2 => {
+            relief::predicts_better(relief, capture, options, control)?.then_some(relief)
+        }
+        Relief::Predicted(_) | Relief::Flat => None,
     };
-    let mut problem = Problem::new(capture, super::targets(capture)?, options.reflectance, options.seed)?;
-    problem.parameters.relief.clone_from(&relief);
+    let relief = relief.map(<[f32]>::to_vec);
+    let mut problem = Problem::new(capture, super::targets(capture)?, relief.clone(), options)?;
     let (direct, descent) = problem.fit_in_rounds(capture, options, control)?;
     tracing::debug!("light of the photos: {:.3?}", direct.gains);
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
@@ -166,11 +178,12 @@ struct Problem {
 }
 
 impl Problem {
-    fn new(capture: &Capture, targets: Vec<Target>, reflectance: Reflectance, seed: u64) -> Result<Self> {
+    fn new(capture: &Capture, targets: Vec<Target>, relief: Option<Vec<f32>>, options: &FitOptions) -> Result<Self> {
+        let reflectance = options.reflectance;
         let (width, height) = (capture.width(), capture.height());
         let pixels = width * height;
         let albedo = start::diffuse_start(capture);
-        let (memberships, groups) = colour_groups(&albedo, GROUPS, seed);
+        let (memberships, groups) = colour_groups(&albedo, GROUPS, options.seed);
         let layout = Layout { pixels, groups, anisotropic: reflectance == Reflectance::Anisotropic };
         let sigmas = match reflectance {
             Reflectance::Dielectric => PriorSigmas { specular: DIELECTRIC_DEVIATION, ..FLAT },
@@ -186,9 +199,9 @@ impl Problem {
             tilt: &|[x, y]| unit * (x * x + y * y) / (TILT_DEVIATION * TILT_DEVIATION) / pixels as f64,
             anisotropy: &|s| unit * SEARCH_EVIDENCE * square(s) / anisotropy::GROUP_DEVIATION.powi(2),
         };
-        let (lobes, tilt) = search(capture, &memberships, groups, reflectance, &prior);
+        let (lobes, tilt) = search(capture, &memberships, groups, relief.as_deref(), reflectance, &prior);
         tracing::debug!("start: {lobes:?}, tilt {tilt:?}");
-        let diffuse = start::diffuse(capture, &memberships, &lobes, tilt);
+        let diffuse = start::diffuse(capture, &memberships, &lobes, relief.as_deref(), tilt);
         let start = |value: f32| logit(START_SHARE * value + START_LEAST);
         let diffuse = (0..3).flat_map(|c| diffuse.iter().map(move |d| start(d[c]))).collect();
         let base = BASE.iter().flat_map(|&logit| std::iter::repeat_n(logit, pixels)).collect();
@@ -197,8 +210,12 @@ impl Problem {
             patch_size: capture.patch_size(),
             width,
             height,
-            parameters: Parameters { reflectance, size: [width, height], layout, memberships, base, relief: None },
-            prior: Prior { sigmas, diffuse },
+            parameters: Parameters { reflectance, size: [width, height], layout, memberships, base, relief },
+            prior: Prior {
+                sigmas,
+                photo: if layout.anisotropic { ANISOTROPIC_PHOTO_DEVIATION } else { PHOTO_DEVIATION },
+                diffuse,
+            },
             groups: lobes.iter().map(offsets).collect(),
             anisotropy: lobes.iter().map(|lobe| lobe.anisotropy.map(|value| value as f32)).collect(),
             tilt,
@@ -223,7 +240,7 @@ impl Problem {
                 base: lobe_planes(maps).into_iter().flat_map(logits).collect(),
                 relief: Some(relief),
             },
-            prior: Prior { sigmas: PREDICTED, diffuse: logits(diffuse_planes(maps)).collect() },
+            prior: Prior { sigmas: PREDICTED, photo: PHOTO_DEVIATION, diffuse: logits(diffuse_planes(maps)).collect() },
             groups: vec![[0.0; 4]; groups],
             anisotropy: Vec::new(),
             tilt: [0.0; 2],

@@ -5,8 +5,10 @@ use rayon::prelude::*;
 use super::parameters::{GROUP_STEP, Layout, TILT_STEP};
 use crate::fit::anisotropy;
 
-/// Standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
-pub(super) const PHOTO_DEVIATION: f64 = 0.2;
+/// For [`Prior::photo`].
+pub(crate) const PHOTO_DEVIATION: f64 = 0.2;
+/// Likewise under an anisotropic lobe, which misses less: every pixel's slope is seen in it.
+pub(super) const ANISOTROPIC_PHOTO_DEVIATION: f64 = 0.05;
 /// Standard deviation of a pixel's slope (tangent of the angle) from the common tilt.
 const SLOPE_DEVIATION: f64 = 0.01;
 /// Standard deviation of the common tilt, as a slope: a few degrees.
@@ -39,6 +41,8 @@ pub(super) const PREDICTED: PriorSigmas = PriorSigmas { diffuse: 0.3, group: 1.0
 /// Gaussian priors on the parameters.
 pub(super) struct Prior {
     pub sigmas: PriorSigmas,
+    /// Standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
+    pub photo: f64,
     /// Logits of the diffuse albedo at the start, three planes: its mean.
     pub diffuse: Vec<f32>,
 }
@@ -49,7 +53,7 @@ impl Prior {
         let n = layout.pixels;
         // photo_loss is 1000 times a mean of squares; as a negative log likelihood it would be their sum over 2 sigma^2.
         let residuals = (photos * 3 * n) as f64;
-        let unit = 1000.0 * 2.0 * PHOTO_DEVIATION * PHOTO_DEVIATION / residuals;
+        let unit = 1000.0 * 2.0 * self.photo * self.photo / residuals;
         let PriorSigmas { diffuse, group, specular, evidence } = self.sigmas;
         let group_unit = evidence * unit * n as f64 / layout.groups as f64;
         let node_unit = evidence * unit * n as f64 / (anisotropy::NODES * anisotropy::NODES) as f64;

@@ -7,6 +7,7 @@ use crate::fit::optim::holdout::{REHEARSAL_SIDE, left_out, thinned, thinned_plan
 use crate::fit::options::FitOptions;
 use crate::maps::{Maps, NORMAL_PLANE};
 use crate::progress::{CancelToken, Control};
+use crate::raw::{NORMAL, RAW};
 use crate::render::{Target, photo_loss};
 
 /// Photos left out at most, one at a time, to choose between a flat surface and a given relief; and steps of those fits.
@@ -29,9 +30,8 @@ pub(super) fn predicts_better(
     let left_out = left_out(all.len(), FOLDS);
     let rests: Vec<Vec<Target>> =
         left_out.clone().map(|without| [&all[..without], &all[without + 1..]].concat()).collect();
-    let mut problem = Problem::new(&capture, all.clone(), options.reflectance, options.seed)?;
-    let mut error = |relief: Option<Vec<f32>>| -> Result<f64> {
-        problem.parameters.relief = relief;
+    let error = |relief: Option<Vec<f32>>, control: &mut Control<'_>| -> Result<f64> {
+        let mut problem = Problem::new(&capture, all.clone(), relief, options)?;
         let mut error = 0.0;
         for (rest, without) in rests.iter().zip(left_out.clone()) {
             control.poll()?;
@@ -41,21 +41,29 @@ pub(super) fn predicts_better(
         }
         Ok(error)
     };
-    let flat = error(None)?;
-    let bumpy = error(Some(thinned_planes(relief, 2, &pick)))?;
+    let flat = error(None, control)?;
+    let bumpy = error(Some(thinned_planes(relief, 2, &pick)), control)?;
     tracing::debug!("photos left out, flat and with the network's relief: {flat:.3}, {bumpy:.3}");
     Ok(bumpy < (1.0 - GAIN) * flat)
 }
 
 /// The slopes of the normals of `maps`, two planes without their means: how the sample leans is found elsewhere.
 pub(crate) fn relief(maps: &Maps<f32>) -> Vec<f32> {
-    let pixels = maps.width() * maps.height();
-    let mut slopes = Vec::with_capacity(2 * pixels);
-    for c in 0..2 {
-        let (across, up) = (maps.plane(NORMAL_PLANE + c), maps.plane(NORMAL_PLANE + 2));
-        let slope = |(across, up): (&f32, &f32)| across / up.max(STEEPEST);
-        let mean = across.iter().zip(up).map(slope).map(f64::from).sum::<f64>() / pixels as f64;
-        slopes.extend(across.iter().zip(up).map(slope).map(|slope| slope - mean as f32));
-    }
-    slopes
+    let up = maps.plane(NORMAL_PLANE + 2);
+    [0, 1].into_iter().flat_map(|c| slopes(maps.plane(NORMAL_PLANE + c), up)).collect()
+}
+
+/// Likewise of the normals of nine planes of raw values.
+pub(crate) fn relief_of_raw(raw: &[f32]) -> Vec<f32> {
+    let pixels = raw.len() / RAW;
+    let [x, y] = [NORMAL, NORMAL + 1].map(|plane| &raw[plane * pixels..][..pixels]);
+    let up: Vec<f32> = x.iter().zip(y).map(|(x, y)| (1.0 - x * x - y * y).max(0.0).sqrt()).collect();
+    slopes(x, &up).chain(slopes(y, &up)).collect()
+}
+
+/// The slopes of normals with these components across and up, less their mean.
+fn slopes<'a>(across: &'a [f32], up: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
+    let slope = |(across, up): (&f32, &f32)| across / up.max(STEEPEST);
+    let mean = across.iter().zip(up).map(slope).map(f64::from).sum::<f64>() / across.len() as f64;
+    across.iter().zip(up).map(move |pair| slope(pair) - mean as f32)
 }

@@ -135,20 +135,33 @@ struct Facing<L> {
 
 impl<L: Lanes> Facing<L> {
     #[inline(always)]
-    fn new(shape: Shape) -> Self {
+    fn new(shape: Shape, slopes: [L; 2]) -> Self {
         let [p, q] = shape.anisotropy.unwrap_or_default();
         let angle = 0.5 * q.atan2(p);
         let tangent = [L::splat(angle.cos()), L::splat(angle.sin()), L::splat(0.0)];
         let tangent = if shape.anisotropy.is_some() { Some(tangent) } else { None };
-        Self { normal: normal(shape.tilt), tangent, stretch: L::splat(p.hypot(q).exp()) }
+        Self { normal: normal(slopes, shape.tilt), tangent, stretch: L::splat(p.hypot(q).exp()) }
     }
 }
 
-/// The unit normal of a slope.
+/// The slopes of the relief at some pixels, 0 where there is none.
 #[inline(always)]
-fn normal<L: Lanes>([x, y]: [f64; 2]) -> [L; 3] {
-    let scale = 1.0 / (1.0 + x * x + y * y).sqrt();
-    [L::splat(x * scale), L::splat(y * scale), L::splat(scale)]
+fn slopes_of<L: Lanes>(relief: Option<&[f32]>, pixels: &[usize]) -> [L; 2] {
+    match relief {
+        None => [L::splat(0.0); 2],
+        Some(relief) => {
+            let (x, y) = relief.split_at(relief.len() / 2);
+            [bundle(pixels, |&pixel| x[pixel]), bundle(pixels, |&pixel| y[pixel])]
+        }
+    }
+}
+
+/// The unit normal of slopes and a tilt.
+#[inline(always)]
+fn normal<L: Lanes>(slopes: [L; 2], tilt: [f64; 2]) -> [L; 3] {
+    let (x, y) = (slopes[0] + L::splat(tilt[0]), slopes[1] + L::splat(tilt[1]));
+    let scale = L::splat(1.0) / x.mul_add(x, y.mul_add(y, L::splat(1.0))).sqrt();
+    [x * scale, y * scale, scale]
 }
 
 /// The diffuse albedo in channel `c` that fits best beside specular albedo `s`: least squares with differences of codes to first order.
@@ -186,6 +199,7 @@ struct Explain<'a> {
     capture: &'a Capture,
     photos: &'a [usize],
     pixels: &'a [usize],
+    relief: Option<&'a [f32]>,
     shapes: &'a [Shape],
     /// Every so many-th candidate, in these channels.
     step: usize,
@@ -198,22 +212,22 @@ impl<R: Real> Kernel<R> for Explain<'_> {
 
     #[inline(always)]
     fn run<L: Lanes<Scalar = R>>(self) -> Self::Output {
-        let Self { capture, photos, pixels, shapes, step, channels, prior } = self;
+        let Self { capture, photos, pixels, relief, shapes, step, channels, prior } = self;
         let mut bundles = Vec::with_capacity(pixels.len().div_ceil(L::LANES));
         for pixels in pixels.chunks(L::LANES) {
             // The last bundle may hold its last pixel more than once.
             let counted: L = L::load_f32(&[1.0; LANES_MAX][..pixels.len()]);
-            bundles.push((View::all(capture, photos, pixels), counted));
+            bundles.push((View::all(capture, photos, pixels), slopes_of::<L>(relief, pixels), counted));
         }
         let mut parts: Vec<Parts<L>> = Vec::with_capacity(photos.len());
         let mut best_of_shapes = Vec::with_capacity(shapes.len());
         for &shape in shapes {
-            let surface = Facing::new(shape);
             let anisotropy = shape.anisotropy.unwrap_or_default();
             let mut best = (f64::INFINITY, GroupLobe { anisotropy, ..GroupLobe::UNKNOWN });
             for roughness in ROUGHNESSES.into_iter().step_by(step) {
                 let mut sums = [[L::splat(0.0); SPECULARS.len()]; 3];
-                for (views, counted) in &bundles {
+                for (views, slopes, counted) in &bundles {
+                    let surface = Facing::new(shape, *slopes);
                     shade(views, &surface, L::splat(roughness * roughness), &mut parts);
                     for &c in channels {
                         for i in (0..SPECULARS.len()).step_by(step) {
@@ -253,12 +267,13 @@ pub(super) fn memory(photos: usize) -> u64 {
     (GROUP_PIXELS * photos.min(PHOTOS) * VIEW) as u64
 }
 
-/// For each of `groups` colour groups the values that explain the photos best, and the tilt that all share. An anisotropic group's lobe is round or the one that suits
+/// For each of `groups` colour groups the values that explain the photos best, and the tilt that all share, on a surface with this `relief`. An anisotropic group's lobe is round or the one that suits
 /// all best.
 pub(super) fn search(
     capture: &Capture,
     memberships: &[Membership],
     groups: usize,
+    relief: Option<&[f32]>,
     reflectance: Reflectance,
     prior: &Prior<'_>,
 ) -> (Vec<GroupLobe>, [f64; 2]) {
@@ -276,7 +291,7 @@ pub(super) fn search(
         })
         .collect();
     let explain = |pixels: &[usize], shapes: &[Shape], step: usize, channels: &[usize]| {
-        f32::run(Explain { capture, photos: &photos, pixels, shapes, step, channels, prior })
+        f32::run(Explain { capture, photos: &photos, pixels, relief, shapes, step, channels, prior })
     };
     // The shape that suits all groups best, a group counting by its size.
     let best_of = |shapes: &[Shape], cost: &dyn Fn(&Shape) -> f64| -> Shape {
@@ -329,16 +344,19 @@ pub(super) fn search(
     (samples.par_iter().map(of_group).collect(), shape.tilt)
 }
 
-/// The diffuse albedo of all pixels beside what was `found` for their groups, on a surface that leans by `tilt`.
+/// The diffuse albedo of all pixels beside what was `found` for their groups, on a surface that has this `relief` and leans by `tilt`.
 pub(super) fn diffuse(
     capture: &Capture,
     memberships: &[Membership],
     found: &[GroupLobe],
+    relief: Option<&[f32]>,
     tilt: [f64; 2],
 ) -> Vec<[f32; 3]> {
     let pixels: Vec<usize> = (0..memberships.len()).collect();
-    let parts: Vec<Vec<[f32; 3]>> =
-        pixels.par_chunks(PART).map(|pixels| f32::run(Beside { capture, pixels, memberships, found, tilt })).collect();
+    let parts: Vec<Vec<[f32; 3]>> = pixels
+        .par_chunks(PART)
+        .map(|pixels| f32::run(Beside { capture, pixels, memberships, found, relief, tilt }))
+        .collect();
     parts.concat()
 }
 
@@ -347,6 +365,7 @@ struct Beside<'a> {
     pixels: &'a [usize],
     memberships: &'a [Membership],
     found: &'a [GroupLobe],
+    relief: Option<&'a [f32]>,
     tilt: [f64; 2],
 }
 
@@ -355,9 +374,8 @@ impl<R: Real> Kernel<R> for Beside<'_> {
 
     #[inline(always)]
     fn run<L: Lanes<Scalar = R>>(self) -> Self::Output {
-        let Self { capture, pixels, memberships, found, tilt } = self;
+        let Self { capture, pixels, memberships, found, relief, tilt } = self;
         let photos: Vec<usize> = (0..capture.len()).collect();
-        let leaning = Facing::new(Shape { tilt, anisotropy: None });
         let mixed = |pixel: usize, value: &dyn Fn(&GroupLobe) -> f64| {
             let [(a, of_a), (b, of_b)] = memberships[pixel];
             let (a, b) = (value(&found[a as usize]), value(&found[b as usize]));
@@ -368,7 +386,8 @@ impl<R: Real> Kernel<R> for Beside<'_> {
         for pixels in pixels.chunks(L::LANES) {
             let views = View::all(capture, &photos, pixels);
             let roughness: L = bundle(pixels, |&pixel| mixed(pixel, &|found| found.roughness));
-            shade(&views, &leaning, roughness * roughness, &mut parts);
+            let surface = Facing::new(Shape { tilt, anisotropy: None }, slopes_of(relief, pixels));
+            shade(&views, &surface, roughness * roughness, &mut parts);
             let mut albedo = [L::splat(0.0); 3];
             for c in 0..3 {
                 let specular = bundle(pixels, |&pixel| mixed(pixel, &|found| found.specular[c]));
@@ -472,13 +491,13 @@ mod tests {
         let capture = capture(materials, [0.07, -0.14]);
         let memberships: Vec<_> =
             (0..PIXELS).map(|p| [(u16::from(p % SIDE >= SIDE / 2).into(), 1.0), (0, 0.0)]).collect();
-        let (found, tilt) = search(&capture, &memberships, 2, Reflectance::Isotropic, &FLAT);
+        let (found, tilt) = search(&capture, &memberships, 2, None, Reflectance::Isotropic, &FLAT);
         assert_eq!(tilt, [0.07, -0.14]);
         for (found, (_, specular, roughness)) in found.iter().zip(materials) {
             assert!(found.specular.iter().all(|&s| (s - f64::from(specular)).abs() < 1e-6), "{found:?}");
             assert!((found.roughness - f64::from(roughness)).abs() < 1e-6, "{found:?}");
         }
-        for (p, albedo) in diffuse(&capture, &memberships, &found, tilt).into_iter().enumerate() {
+        for (p, albedo) in diffuse(&capture, &memberships, &found, None, tilt).into_iter().enumerate() {
             let expected = materials[usize::from(p % SIDE >= SIDE / 2)].0;
             assert!((0..3).all(|c| (albedo[c] - expected[c]).abs() < 1e-3), "{p}: {albedo:?} {expected:?}");
         }
@@ -493,6 +512,7 @@ mod tests {
             capture: &capture,
             photos: &[0, 2, 5],
             pixels: &pixels,
+            relief: None,
             shapes: &shapes,
             step: 1,
             channels: &[0, 2],

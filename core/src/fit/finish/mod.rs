@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use crate::brdf::real::Real;
 use crate::capture::{Capture, Photo};
 use crate::error::{Error, Result};
+use crate::fit::direct::light;
 use crate::fit::options::Reflectance;
 use crate::fit::report::StageReport;
 use crate::fit::verdict::Expected;
@@ -30,34 +31,14 @@ pub(crate) use weighting::Weighting;
 /// Photos left out at most, one at a time.
 pub(super) const LEFT_OUT: usize = 4;
 
-/// What a finish starts from: nine planes each of raw values and of the network's standard deviations.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Start<'a> {
-    /// The maps so far.
-    pub raw: &'a [f32],
-    /// The network's maps, whose normals may be the better ones.
-    pub network: &'a [f32],
-    /// The network's standard deviations.
-    pub deviation: &'a [f32],
-    /// The anisotropy of every pixel; none where lobes are round.
-    pub anisotropy: &'a [[f32; 2]],
-    /// A diffuse surface has no lobe to be fitted, a dielectric one has the specular albedo of the maps so far.
-    pub reflectance: Reflectance,
-    /// What decides how much of this is believed; without folds it is what suits a single photo.
-    pub rehearsal: &'a Rehearsal,
-}
-
-/// What a finish gives.
-#[derive(Clone, Debug)]
-pub(crate) struct Finished {
-    /// Nine planes of raw values.
-    pub raw: Vec<f32>,
-    /// Their standard deviations, given the photos and the network's own.
-    pub deviation: Vec<f32>,
-    /// With which weighting.
-    pub weighting: Weighting,
-    /// Expected errors of a new photo.
-    pub expected: Expected,
+/// The photos, and what is known before them: nine planes each of raw values and of standard deviations.
+pub(crate) struct Problem<'a> {
+    capture: &'a Capture,
+    views: Vec<View<'a>>,
+    network: &'a [f32],
+    deviation: &'a [f32],
+    reflectance: Reflectance,
+    roughness_floor: f64,
 }
 
 /// A photo as the finish compares with it.
@@ -67,101 +48,158 @@ struct View<'a> {
     code: Vec<[f32; 3]>,
 }
 
-/// The data and the prior.
-struct Problem<'a> {
-    capture: &'a Capture,
-    views: Vec<View<'a>>,
-    start: Start<'a>,
-    roughness_floor: f64,
+/// Where a finish begins.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Start<'a> {
+    /// Nine planes of raw values, the maps so far.
+    pub raw: &'a [f32],
+    /// The anisotropy of every pixel; none where lobes are round.
+    pub anisotropy: &'a [[f32; 2]],
+    /// How the photos are taken to be lit, one for each.
+    pub shots: &'a [Shot],
 }
 
-impl Problem<'_> {
-    fn pixels(&self) -> usize {
-        self.capture.width() * self.capture.height()
-    }
+/// What photos that were left out say.
+#[derive(Clone, Debug)]
+pub(crate) struct Judgement {
+    /// The weighting that predicts them best.
+    pub weighting: Weighting,
+    /// Expected errors of a new photo; `None` if none was left out.
+    pub expected: Option<Expected>,
+    /// Nine planes of raw values that are found on the rehearsal's pixels without the photo of each fold.
+    pub folds: Vec<Vec<f32>>,
 }
 
-/// Estimated bytes that [`finish`] takes for photos of so many pixels, and its start: the photos' codes, and nine values each of the start, of what
+/// What a finish gives.
+#[derive(Clone, Debug)]
+pub(crate) struct Finished {
+    /// Nine planes of raw values.
+    pub raw: Vec<f32>,
+    /// Their standard deviations, given the photos and the network's own.
+    pub deviation: Vec<f32>,
+    /// Expected errors of a new photo.
+    pub expected: Expected,
+}
+
+/// Estimated bytes that a finish takes for photos of so many pixels, and its start: the photos' codes, and nine values each of the start, of what
 /// is found with its deviations, of the latter as planes.
 pub(crate) fn memory(photos: usize, pixels: u64) -> u64 {
     pixels * (3 * 4 * photos as u64 + 5 * 4 * RAW as u64)
 }
 
-/// Fits every pixel of `capture`, its photos taken as `shots` say, with `start` as the prior, by up to `steps` Levenberg-Marquardt steps.
-///
-/// # Errors
-/// [`Error::ShapeMismatch`] if the planes are not of the capture's size; [`Error::Cancelled`].
-pub(crate) fn finish(
-    capture: &Capture,
-    shots: &[Shot],
-    start: Start<'_>,
-    roughness_floor: f64,
-    steps: usize,
-    stages: &mut Vec<StageReport>,
-    control: &mut Control<'_>,
-) -> Result<Finished> {
-    let begun = Instant::now();
+fn check(capture: &Capture, name: &str, planes: &[f32]) -> Result<()> {
     let (width, height) = (capture.width(), capture.height());
-    let pixels = width * height;
-    for (name, planes) in [("raw", start.raw), ("network", start.network), ("deviation", start.deviation)] {
-        if planes.len() != RAW * pixels {
-            let expected = format!("{RAW} planes of {height} x {width}");
-            return Err(Error::shape(name, expected, format!("{} values", planes.len())));
+    if planes.len() == RAW * width * height {
+        return Ok(());
+    }
+    Err(Error::shape(name, format!("{RAW} planes of {height} x {width}"), format!("{} values", planes.len())))
+}
+
+impl<'a> Problem<'a> {
+    /// The photos of `capture`; `network` are the network's maps, whose normals may be better than those so far, and `deviation` its standard deviations. A
+    /// diffuse surface has no lobe to be fitted, a dielectric one has the specular albedo of the maps so far.
+    ///
+    /// # Errors
+    /// [`Error::ShapeMismatch`] if the planes are not of the capture's size.
+    pub fn new(
+        capture: &'a Capture,
+        network: &'a [f32],
+        deviation: &'a [f32],
+        reflectance: Reflectance,
+        roughness_floor: f64,
+    ) -> Result<Self> {
+        check(capture, "network", network)?;
+        check(capture, "deviation", deviation)?;
+        let code = |color: &[f32]| [0, 1, 2].map(|c| encode_radiance(color[c]));
+        let codes = |photo: &Photo| photo.image.data().chunks_exact(3).map(code).collect();
+        let views = capture.photos().iter().map(|photo| View { photo, code: codes(photo) }).collect();
+        Ok(Self { capture, views, network, deviation, reflectance, roughness_floor })
+    }
+
+    /// The photos as they were taken, under these factors on their light.
+    pub fn shots(&self, gains: Option<&[f64]>) -> Vec<Shot> {
+        light::shots(self.capture, gains.unwrap_or(&vec![1.0; self.capture.len()]))
+    }
+
+    fn pixels(&self) -> usize {
+        self.capture.width() * self.capture.height()
+    }
+
+    /// How photos and prior are to be weighted, by the photos that the folds of `rehearsal` left out; without folds, as suits a single photo.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`].
+    pub fn judge(&self, rehearsal: &Rehearsal, control: &mut Control<'_>) -> Result<Judgement> {
+        let weighting = self.choose(rehearsal, control)?;
+        tracing::debug!("{weighting:?}");
+        let folds = rehearsal.folds.iter().map(|fold| self.without(fold, weighting, rehearsal)).collect();
+        Ok(Judgement { weighting, expected: self.expected(weighting, rehearsal), folds })
+    }
+
+    /// Fits every pixel, with `start` as the prior's mean, by up to `steps` Levenberg-Marquardt steps.
+    ///
+    /// # Errors
+    /// [`Error::ShapeMismatch`] if the planes are not of the capture's size; [`Error::Cancelled`].
+    pub fn finish(
+        &self,
+        start: Start<'_>,
+        judgement: &Judgement,
+        steps: usize,
+        stages: &mut Vec<StageReport>,
+        control: &mut Control<'_>,
+    ) -> Result<Finished> {
+        let begun = Instant::now();
+        let (width, height) = (self.capture.width(), self.capture.height());
+        let pixels = width * height;
+        check(self.capture, "raw", start.raw)?;
+        control.report(Stage::Finish, 0, 1, None)?;
+        let weighting = judgement.weighting;
+        let fit_row = |row: usize| {
+            let place = |pixel: usize| Place { pixel, so_far: pixel };
+            let places: Vec<Place> = (row * width..(row + 1) * width).map(place).collect();
+            let Start { raw: so_far, anisotropy, shots } = start;
+            let pixels =
+                Pixels { problem: self, places: &places, so_far, anisotropy, shots, without: None, weighting, steps };
+            f32::run(Fit(pixels))
+        };
+        let mut rows: Vec<Fitted> = Vec::with_capacity(height);
+        // Some rows at a time, so that a caller who wants to stop is heard.
+        for first in (0..height).step_by(64) {
+            rows.par_extend((first..height.min(first + 64)).into_par_iter().map(fit_row));
+            control.poll()?;
         }
-    }
-    control.report(Stage::Finish, 0, 2, None)?;
-    let code = |color: &[f32]| [0, 1, 2].map(|c| encode_radiance(color[c]));
-    let codes = |photo: &Photo| photo.image.data().chunks_exact(3).map(code).collect();
-    let views = capture.photos().iter().map(|photo| View { photo, code: codes(photo) }).collect();
-    let problem = Problem { capture, views, start, roughness_floor };
-
-    let weighting = problem.choose(start.rehearsal, control)?;
-    tracing::debug!("{weighting:?}");
-    control.report(Stage::Finish, 1, 2, None)?;
-
-    let fit_row = |row: usize| {
-        let places: Vec<Place> = (row * width..(row + 1) * width).map(|pixel| Place { pixel, so_far: pixel }).collect();
-        let (problem, so_far) = (&problem, start.raw);
-        let anisotropy = start.anisotropy;
-        f32::run(Fit(Pixels { problem, places: &places, so_far, anisotropy, shots, without: None, weighting, steps }))
-    };
-    let mut rows: Vec<Fitted> = Vec::with_capacity(height);
-    // Some rows at a time, so that a caller who wants to stop is heard.
-    for first in (0..height).step_by(64) {
-        rows.par_extend((first..height.min(first + 64)).into_par_iter().map(fit_row));
-        control.poll()?;
-    }
-    let planes = |part: fn(&Fitted) -> &[[f32; RAW]]| {
-        let mut planes = vec![0.0; RAW * pixels];
-        planes.par_chunks_mut(pixels).enumerate().for_each(|(i, plane)| {
-            for (out, row) in plane.chunks_exact_mut(width).zip(&rows) {
-                out.iter_mut().zip(part(row)).for_each(|(out, values)| *out = values[i]);
-            }
+        let planes = |part: fn(&Fitted) -> &[[f32; RAW]]| {
+            let mut planes = vec![0.0; RAW * pixels];
+            planes.par_chunks_mut(pixels).enumerate().for_each(|(i, plane)| {
+                for (out, row) in plane.chunks_exact_mut(width).zip(&rows) {
+                    out.iter_mut().zip(part(row)).for_each(|(out, values)| *out = values[i]);
+                }
+            });
+            planes
+        };
+        // In the unit of the other stages: 1000 times a mean of squares.
+        let unit = 1000.0 * weighting.photo * weighting.photo / (3 * pixels * self.capture.len()) as f64;
+        stages.push(StageReport {
+            stage: Stage::Finish,
+            steps,
+            first_loss: unit * rows.iter().map(|row| row.first_cost).sum::<f64>(),
+            best_loss: unit * rows.iter().map(|row| row.last_cost).sum::<f64>(),
+            rollbacks: 0,
+            stopped_early: false,
+            seconds: begun.elapsed().as_secs_f64(),
         });
-        planes
-    };
-    // In the unit of the other stages: 1000 times a mean of squares.
-    let unit = 1000.0 * weighting.photo * weighting.photo / (3 * pixels * capture.len()) as f64;
-    stages.push(StageReport {
-        stage: Stage::Finish,
-        steps,
-        first_loss: unit * rows.iter().map(|row| row.first_cost).sum::<f64>(),
-        best_loss: unit * rows.iter().map(|row| row.last_cost).sum::<f64>(),
-        rollbacks: 0,
-        stopped_early: false,
-        seconds: begun.elapsed().as_secs_f64(),
-    });
-    control.report(Stage::Finish, 2, 2, None)?;
-    let (raw, deviation) = (planes(|row| &row.raw), planes(|row| &row.deviation));
-    let expected = problem.expected(weighting, start.rehearsal).unwrap_or_else(|| problem.estimated(&raw, &deviation));
-    Ok(Finished { raw, deviation, weighting, expected })
+        control.report(Stage::Finish, 1, 1, None)?;
+        let (raw, deviation) = (planes(|row| &row.raw), planes(|row| &row.deviation));
+        let expected = judgement.expected.unwrap_or_else(|| self.estimated(&raw, start.anisotropy, &deviation));
+        Ok(Finished { raw, deviation, expected })
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use std::ops::ControlFlow;
 
-    use super::{Finished, Fold, RAW, Rehearsal, Start, finish};
+    use super::{Finished, Fold, Judgement, Problem, RAW, Rehearsal, Start, Weighting};
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::error::Error;
@@ -223,29 +261,18 @@ mod tests {
         Rehearsal { size: [WIDTH, HEIGHT], pixels: (0..PIXELS).collect(), folds }
     }
 
-    fn run(capture: &Capture, raw: &[f32], deviation: f32) -> Finished {
+    fn run(capture: &Capture, raw: &[f32], deviation: f32) -> (Finished, Judgement) {
         let mut callback = |_: &Progress| ControlFlow::Continue(());
         let mut control = Control::new(&mut callback, CancelToken::new());
         let mut stages = Vec::new();
-        let finished = finish(
-            capture,
-            &capture.photos().iter().map(|photo| photo.shot).collect::<Vec<_>>(),
-            Start {
-                raw,
-                network: raw,
-                deviation: &vec![deviation; raw.len()],
-                anisotropy: &[],
-                reflectance: Reflectance::Isotropic,
-                rehearsal: &rehearsal(capture, raw),
-            },
-            -0.9,
-            20,
-            &mut stages,
-            &mut control,
-        )
-        .unwrap();
+        let deviation = vec![deviation; raw.len()];
+        let problem = Problem::new(capture, raw, &deviation, Reflectance::Isotropic, -0.9).unwrap();
+        let judgement = problem.judge(&rehearsal(capture, raw), &mut control).unwrap();
+        let shots: Vec<Shot> = capture.photos().iter().map(|photo| photo.shot).collect();
+        let start = Start { raw, anisotropy: &[], shots: &shots };
+        let finished = problem.finish(start, &judgement, 20, &mut stages, &mut control).unwrap();
         assert!(stages[0].best_loss <= stages[0].first_loss);
-        finished
+        (finished, judgement)
     }
 
     fn rms(a: &[f32], b: &[f32], planes: std::ops::Range<usize>) -> f32 {
@@ -263,7 +290,11 @@ mod tests {
     fn photos_correct_a_wrong_prediction() {
         let truth = truth();
         let start = disturbed(&truth, 0.2);
-        let Finished { raw, deviation, weighting, expected } = run(&capture(&truth, 8), &start, 0.12);
+        let (Finished { raw, deviation, expected }, Judgement { weighting, folds, .. }) =
+            run(&capture(&truth, 8), &start, 0.12);
+        assert!(
+            folds.len() == 8 && folds.iter().all(|fold| rms(fold, &truth, 0..RAW) < 0.5 * rms(&start, &truth, 0..RAW))
+        );
         assert!(weighting.photo <= 0.0125, "{weighting:?}");
         assert!(expected.error < 0.02 && expected.material <= expected.error && !expected.estimated, "{expected:?}");
         for planes in [0..3, 3..5, 5..6, 6..9] {
@@ -281,7 +312,7 @@ mod tests {
         dark.shot.light_intensity = [1e-9; 3];
         dark.image = Image::new(WIDTH, HEIGHT, 3, vec![0.0; 3 * PIXELS]).unwrap();
         let black = Capture::new(vec![dark], 2.0, Transfer::Linear).unwrap();
-        let Finished { raw, deviation, expected, .. } = run(&black, &truth, 0.1);
+        let (Finished { raw, deviation, expected }, _) = run(&black, &truth, 0.1);
         assert!(expected.estimated, "{expected:?}");
         assert!(rms(&raw, &truth, 0..RAW) < 1e-6);
         // Nor is anything surer than the network is.
@@ -295,16 +326,10 @@ mod tests {
         let attempt = |raw: &[f32], answer: ControlFlow<()>| {
             let mut callback = |_: &Progress| answer;
             let mut control = Control::new(&mut callback, CancelToken::new());
-            let rehearsal = rehearsal(&capture, &truth);
-            let start = Start {
-                raw,
-                network: &truth,
-                deviation: &truth,
-                anisotropy: &[],
-                reflectance: Reflectance::Isotropic,
-                rehearsal: &rehearsal,
-            };
-            finish(&capture, &shots(2), start, -1.0, 1, &mut Vec::new(), &mut control)
+            let problem = Problem::new(&capture, &truth, raw, Reflectance::Isotropic, -1.0)?;
+            let judgement = Judgement { weighting: Weighting::START, expected: None, folds: Vec::new() };
+            let start = Start { raw: &truth, anisotropy: &[], shots: &shots(2) };
+            problem.finish(start, &judgement, 1, &mut Vec::new(), &mut control)
         };
         assert!(matches!(attempt(&truth[1..], ControlFlow::Continue(())), Err(Error::ShapeMismatch { .. })));
         assert!(matches!(attempt(&truth, ControlFlow::Break(())), Err(Error::Cancelled)));

@@ -66,6 +66,7 @@ pub(super) struct Look<'p> {
     pub problem: &'p Problem<'p>,
     pub places: &'p [Place],
     pub raw: &'p [f32],
+    pub anisotropy: &'p [[f32; 2]],
     pub shots: &'p [Shot],
 }
 
@@ -111,7 +112,7 @@ impl Problem<'_> {
     /// Whether the raw value `i` stays what the maps so far have.
     #[inline(always)]
     fn fixed(&self, i: usize) -> bool {
-        match self.start.reflectance {
+        match self.reflectance {
             Reflectance::Diffuse => (ROUGHNESS..RAW).contains(&i),
             Reflectance::Dielectric => (SPECULAR..RAW).contains(&i),
             _ => false,
@@ -160,7 +161,7 @@ impl Pixels<'_> {
                 _ => weighting.network,
             };
             let so_far: L = bundle(places, |place| so_far[i * so_far_pixels + place.so_far]);
-            let network: L = bundle(places, |place| problem.start.network[i * pixels + place.pixel]);
+            let network: L = bundle(places, |place| problem.network[i * pixels + place.pixel]);
             prior.mean[i] = L::splat(1.0 - share) * so_far + L::splat(share) * network;
         }
         problem.limit(&mut prior.mean);
@@ -178,7 +179,7 @@ impl Pixels<'_> {
                 NORMAL..ROUGHNESS => weighting.normal,
                 ROUGHNESS.. => weighting.specular,
             };
-            let deviation: L = bundle(places, |place| self.problem.start.deviation[i * pixels + place.pixel]);
+            let deviation: L = bundle(places, |place| self.problem.deviation[i * pixels + place.pixel]);
             let deviation = L::splat(share) * deviation.max(L::splat(PRIOR_MIN));
             weights[i] = L::splat(1.0) / (deviation * deviation);
         }
@@ -360,7 +361,7 @@ impl<R: Real> Kernel<R> for Look<'_> {
 
     #[inline(always)]
     fn run<L: Lanes<Scalar = R>>(self) -> Self::Output {
-        let Self { problem, places: all, raw, shots } = self;
+        let Self { problem, places: all, raw, anisotropy, shots } = self;
         let length = raw.len() / RAW;
         let mut seen = Vec::with_capacity(all.len() * shots.len());
         for shot in shots {
@@ -371,7 +372,7 @@ impl<R: Real> Kernel<R> for Look<'_> {
                 }
                 let CodeJacobian { code, jacobian } =
                     Geometry::<L>::of_pixels(problem.capture, shot, places, |place| place.pixel)
-                        .observe(&Surface::new(&bundles, anisotropy_of(problem.start.anisotropy, places)));
+                        .observe(&Surface::new(&bundles, anisotropy_of(anisotropy, places)));
                 let [r, g, b] = jacobian;
                 let codes = unbundle(code, places.len());
                 let (r, g, b) = (unbundle(r, places.len()), unbundle(g, places.len()), unbundle(b, places.len()));
@@ -384,8 +385,8 @@ impl<R: Real> Kernel<R> for Look<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Problem;
     use super::super::weighting::Weighting;
-    use super::super::{Problem, Rehearsal, Start, View};
     use super::{Fit, Fitted, Pixels, Place};
     use crate::brdf::real::Real;
     use crate::capture::{Capture, Photo};
@@ -393,7 +394,6 @@ mod tests {
     use crate::fit::options::Reflectance;
     use crate::image::Image;
     use crate::raw::RAW;
-    use crate::render::encode_radiance;
     use crate::shot::Shot;
 
     /// Pixels that are not a whole number of bundles, one of them saturated.
@@ -413,22 +413,9 @@ mod tests {
         };
         let capture = Capture::new((0..4).map(photo).collect(), 2.0 * UNIT, Transfer::Linear).unwrap();
         let shots: Vec<Shot> = capture.photos().iter().map(|photo| photo.shot).collect();
-        let code = |color: &[f32]| [0, 1, 2].map(|c| encode_radiance(color[c]));
-        let codes = |photo: &Photo| photo.image.data().chunks_exact(3).map(code).collect();
-        let views = capture.photos().iter().map(|photo| View { photo, code: codes(photo) }).collect();
         let raw: Vec<f32> = (0..RAW * PIXELS).map(|i| 0.3 * (i as f32).sin()).collect();
         let deviation = vec![0.15; raw.len()];
-        let rehearsal = Rehearsal::default();
-        let reflectance = Reflectance::Isotropic;
-        let start = Start {
-            raw: &raw,
-            network: &raw,
-            deviation: &deviation,
-            anisotropy: &[],
-            reflectance,
-            rehearsal: &rehearsal,
-        };
-        let problem = Problem { capture: &capture, views, start, roughness_floor: -0.9 };
+        let problem = Problem::new(&capture, &raw, &deviation, Reflectance::Isotropic, -0.9).unwrap();
         let places: Vec<Place> = (0..PIXELS).map(|pixel| Place { pixel, so_far: pixel }).collect();
         let weighting = Weighting { photo: 0.05, normal: 0.3, specular: 1.0, network_normal: 0.0, network: 0.0 };
         let pixels = Pixels {

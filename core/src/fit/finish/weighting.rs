@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::pixel::{Look, Pixels, Place, Predict, places};
+use super::pixel::{Fit, Look, Pixels, Place, Predict, places};
 use super::{Fold, Problem, Rehearsal};
 use crate::brdf::real::Real;
 use crate::error::Result;
@@ -10,6 +10,7 @@ use crate::fit::optim::holdout::grid;
 use crate::fit::verdict::Expected;
 use crate::metrics::code_rmse_smooth_gain;
 use crate::progress::Control;
+use crate::raw::RAW;
 use crate::shot::Shot;
 
 /// Candidates for the standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.
@@ -43,7 +44,7 @@ pub(crate) struct Weighting {
 
 impl Weighting {
     /// Where the search begins, and what a single photo gets.
-    const START: Self = Self { photo: 0.025, normal: 0.3, specular: 0.3, network_normal: 0.0, network: 0.0 };
+    pub(super) const START: Self = Self { photo: 0.025, normal: 0.3, specular: 0.3, network_normal: 0.0, network: 0.0 };
     /// Where the search begins a second time: one value after the other, it does not find the way here from the first.
     const OF_PHOTOS: Self = Self { photo: 0.006, normal: 1.0, specular: 1.0, ..Self::START };
 }
@@ -139,6 +140,27 @@ impl Problem<'_> {
         places.iter().map(|place| place.pixel).zip(codes.into_iter().flatten()).collect()
     }
 
+    /// Nine planes of raw values on all pixels of `rehearsal`, found without the photo of `fold`.
+    pub(super) fn without(&self, fold: &Fold, weighting: Weighting, rehearsal: &Rehearsal) -> Vec<f32> {
+        let place = |(so_far, &pixel): (usize, &usize)| Place { pixel, so_far };
+        let places: Vec<Place> = rehearsal.pixels.iter().enumerate().map(place).collect();
+        let fit = |places: &[Place]| {
+            let pixels = Pixels {
+                problem: self,
+                places,
+                so_far: &fold.raw,
+                anisotropy: &fold.anisotropy,
+                shots: &fold.shots,
+                without: Some(fold.without),
+                weighting,
+                steps: CHOICE_STEPS,
+            };
+            f32::run(Fit(pixels)).raw
+        };
+        let values: Vec<Vec<[f32; RAW]>> = places.par_chunks(PART).map(fit).collect();
+        (0..RAW).flat_map(|i| values.iter().flatten().map(move |values| values[i])).collect()
+    }
+
     /// Expected errors of a new photo, from how those are missed that the folds of `rehearsal` left out, under their stated light.
     pub(super) fn expected(&self, weighting: Weighting, rehearsal: &Rehearsal) -> Option<Expected> {
         let [width, height] = rehearsal.size;
@@ -158,7 +180,7 @@ impl Problem<'_> {
     }
 
     /// Likewise from the deviations of the maps alone: how far they move what is seen from around.
-    pub(super) fn estimated(&self, raw: &[f32], deviation: &[f32]) -> Expected {
+    pub(super) fn estimated(&self, raw: &[f32], anisotropy: &[[f32; 2]], deviation: &[f32]) -> Expected {
         let (_, sample) = grid(self.capture.width(), self.capture.height(), CHOICE_SIDE);
         let shot = &self.capture.photos()[0].shot;
         let around = |direction: usize| {
@@ -170,7 +192,7 @@ impl Problem<'_> {
         };
         let shots: Vec<Shot> = (0..NEW_PLACES).map(around).collect();
         let sample: Vec<Place> = sample.into_iter().map(|pixel| Place { pixel, so_far: pixel }).collect();
-        let seen = f32::run(Look { problem: self, places: &sample, raw, shots: &shots });
+        let seen = f32::run(Look { problem: self, places: &sample, raw, anisotropy, shots: &shots });
         let moved = |(place, (_, jacobian)): (&Place, &([f32; 3], [[f32; 5]; 3]))| -> f64 {
             let by =
                 |c: usize, i: usize| f64::from(jacobian[c][i] * deviation[places(c)[i] * self.pixels() + place.so_far]);
