@@ -792,7 +792,7 @@ def command_line(arguments: SupportsGetItem[int, str]) -> int:
     It takes over SIGINT: meant for a process of its own.
     """
 
-def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ..., size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = ..., method: str = ..., weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, finish_steps: SupportsIndex | None = None, max_memory: SupportsIndex | str | None = None, seed: SupportsIndex = ..., threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
+def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | Iterable[ArrayLike | str | PathLike[str]], *, camera_positions: ArrayLike | None = None, light_positions: ArrayLike | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, light_intensity: ArrayLike | None = None, transfer: str | None = None, color_space: str | None = None, ignore_profiles: bool = ..., size: SupportsIndex | None = None, views: Iterable[SupportsIndex] | None = None, white_level: SupportsFloat | SupportsIndex | None = None, preset: str = ..., method: str = ..., reflectance: str = ..., refine: str = ..., weights: Model | str | PathLike[str] | None = None, latent_steps: SupportsIndex | None = None, adapter_steps: SupportsIndex | None = None, direct_steps: SupportsIndex | None = None, finish_steps: SupportsIndex | None = None, max_memory: SupportsIndex | str | None = None, seed: SupportsIndex = ..., threads: SupportsIndex | None = None, early_stop: bool | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Material:
     """
     Recover the material that photos show.
 
@@ -814,6 +814,11 @@ def fit_material(capture_or_photos: Capture | str | PathLike[str] | ArrayLike | 
         How much time to spend.
     method : {"auto", "network", "direct"}, default "auto"
         How to get from photos to maps; auto: network.
+    reflectance : {"auto", "diffuse", "dielectric", "isotropic", "anisotropic"}, default "auto"
+        What the surface is taken to be made of; auto: the simplest that predicts photos left out as well as the others do. All maps come
+        out in any case. A network of the paper's form takes ``"auto"`` alone.
+    refine : {"auto", "none", "light"}, default "auto"
+        What of the capture's statements may be corrected; auto: the light of each photo, where photos left out are predicted better with it.
     weights : Model, str or os.PathLike, optional
         Other weights than those built in.
     latent_steps, adapter_steps, direct_steps, finish_steps : int, optional

@@ -108,8 +108,89 @@ fn simplest(comparisons: &[Comparison]) -> Reflectance {
 
 #[cfg(test)]
 mod tests {
-    use super::{CANDIDATES, Comparison, simplest};
-    use crate::fit::options::Reflectance;
+    use super::{CANDIDATES, Choice, Comparison, simplest};
+    use crate::cancel::CancelToken;
+    use crate::capture::{Capture, Photo};
+    use crate::color::Transfer;
+    use crate::fit::anisotropy;
+    use crate::fit::direct::{DirectFit, Relief, fit_direct};
+    use crate::fit::options::{FitOptions, Refine, Reflectance};
+    use crate::image::Image;
+    use crate::maps::{Lobe, Maps};
+    use crate::progress::Control;
+    use crate::render::render_maps;
+    use crate::shot::Shot;
+
+    const SIDE: usize = 20;
+    const PIXELS: usize = SIDE * SIDE;
+
+    /// Nine photos of a plate with a grain in its colour, its lobe stretched by `vector`.
+    fn capture(diffuse: f32, specular: [f32; 3], roughness: f32, vector: Option<[f32; 2]>) -> Capture {
+        let mut random = fastrand::Rng::with_seed(4);
+        let mut maps = Maps::new(Lobe::Isotropic, SIDE, SIDE, vec![0.0; 10 * PIXELS]).unwrap();
+        for (i, value) in maps.data_mut().iter_mut().enumerate() {
+            *value = match i / PIXELS {
+                ..3 => diffuse * (0.8 + 0.4 * random.f32()),
+                3 | 4 => 0.0,
+                5 => 1.0,
+                6 => roughness,
+                plane => specular[plane - 7],
+            };
+        }
+        let maps = anisotropy::join(maps, &vector.map_or(Vec::new(), |vector| vec![vector; PIXELS])).unwrap();
+        let photo = |i: usize| {
+            let angle = i as f64 * 2.4;
+            let place = [0.35 * i as f64 * angle.cos(), 0.35 * i as f64 * angle.sin(), 2.4];
+            let shot = Shot { camera: place, light: place, light_intensity: [10.0; 3] };
+            let image = Image::from_planar(SIDE, SIDE, 3, &render_maps(&maps, 2.0, &shot).unwrap()).unwrap();
+            Photo { name: i.to_string(), shot, image, saturated: vec![0; PIXELS] }
+        };
+        Capture::new((0..9).map(photo).collect(), 2.0, Transfer::Linear).unwrap()
+    }
+
+    fn chosen(capture: &Capture, options: &FitOptions) -> Choice {
+        Control::silently(CancelToken::new(), |control| Choice::new(capture, options, control)).unwrap()
+    }
+
+    #[test]
+    fn a_scene_gets_what_it_requires() {
+        let brushed = capture(0.01, [0.9, 0.8, 0.7], 0.38, Some([0.5, -0.9]));
+        for (capture, expected) in [
+            (&capture(0.4, [0.0; 3], 1.0, None), Reflectance::Diffuse),
+            (&capture(0.3, [0.04; 3], 0.35, None), Reflectance::Dielectric),
+            (&capture(0.01, [0.9, 0.6, 0.3], 0.4, None), Reflectance::Isotropic),
+            (&brushed, Reflectance::Anisotropic),
+        ] {
+            let choice = chosen(capture, &FitOptions::default());
+            assert_eq!(choice.reflectance, expected, "{choice:?}");
+            assert_eq!(choice.comparisons.len(), 4);
+        }
+        // What is asked for is taken, and two photos decide nothing.
+        let asked = FitOptions::default().reflectance(Reflectance::Dielectric).refine(Refine::None);
+        let choice = chosen(&brushed, &asked);
+        assert!(choice.reflectance == Reflectance::Dielectric && choice.refine == Refine::None);
+        assert!(choice.comparisons.is_empty());
+        let two = brushed.select(&[0, 4]).unwrap();
+        assert_eq!(chosen(&two, &FitOptions::default()).reflectance, Reflectance::Isotropic);
+    }
+
+    #[test]
+    fn the_brushing_is_found() {
+        let vector = [0.5f32, -0.9];
+        let capture = capture(0.01, [0.9, 0.8, 0.7], 0.38, Some(vector));
+        let options = FitOptions::default().reflectance(Reflectance::Anisotropic);
+        let fit = |control: &mut Control<'_>| fit_direct(&capture, Relief::Flat, &options, &mut Vec::new(), control);
+        let (DirectFit { maps, .. }, _) = Control::silently(CancelToken::new(), fit).unwrap();
+        let angle = 0.5 * vector[1].atan2(vector[0]);
+        let first = maps.lobe().tangent_plane();
+        for p in 0..PIXELS {
+            let along = maps.plane(first)[p] * angle.cos() + maps.plane(first + 1)[p] * angle.sin();
+            assert!(along.abs() > 5f32.to_radians().cos(), "{along}");
+        }
+        let ratio = maps.plane(7)[0] / maps.plane(6)[0];
+        let expected = vector[0].hypot(vector[1]).exp();
+        assert!((ratio / expected - 1.0).abs() < 0.25, "{ratio} {expected}");
+    }
 
     #[test]
     fn ties_are_for_the_simpler_one() {

@@ -411,10 +411,11 @@ fn diffuse_planes(maps: &Maps<f32>) -> &[f32] {
 mod tests {
     use std::ops::ControlFlow;
 
-    use super::correct;
+    use super::{Problem, correct};
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::fit::options::FitOptions;
+    use crate::fit::options::Reflectance;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
     use crate::progress::{CancelToken, Control, Progress};
@@ -443,6 +444,51 @@ mod tests {
             }
         }
         maps
+    }
+
+    #[test]
+    fn the_gradient_is_that_of_differences() {
+        let shots = [[0.3, 0.2, 2.2], [-0.9, 0.5, 2.0], [0.7, -0.8, 2.4]].map(|place| Shot {
+            camera: place,
+            light: place,
+            light_intensity: [12.0; 3],
+        });
+        let truth = maps(0.3, 0.2);
+        let photo = |shot: Shot| {
+            let image = Image::from_planar(SIZE, SIZE, 3, &render_maps(&truth, 2.0, &shot).unwrap()).unwrap();
+            Photo { name: String::new(), shot, image, saturated: vec![0; PIXELS] }
+        };
+        let capture = Capture::new(shots.map(photo).to_vec(), 2.0, Transfer::Linear).unwrap();
+        for reflectance in [Reflectance::Dielectric, Reflectance::Isotropic, Reflectance::Anisotropic] {
+            let options = FitOptions::default().reflectance(reflectance);
+            let targets = crate::fit::targets(&capture).unwrap();
+            let problem = Problem::new(&capture, targets, Some(vec![0.02; 2 * PIXELS]), &options).unwrap();
+            let mut random = fastrand::Rng::with_seed(7);
+            let mut params = problem.start();
+            let layout = problem.parameters.layout;
+            // A dielectric has one specular albedo: its gradient is that along equal steps.
+            let moved = |i: usize| {
+                let own = (layout.specular_own()..layout.roughness_own()).contains(&i);
+                let group = (layout.specular_group()..layout.roughness_group()).contains(&i);
+                reflectance != Reflectance::Dielectric || !(own || group)
+            };
+            for (i, param) in params.iter_mut().enumerate() {
+                *param += if moved(i) { 0.05 * (random.f32() - 0.5) } else { 0.0 };
+            }
+            let mut maps = problem.empty_maps().unwrap();
+            let mut map_gradient = maps.clone();
+            let mut gradient = vec![0.0; params.len()];
+            problem.objective(&params, &mut maps, Some((&mut gradient, &mut map_gradient))).unwrap();
+            let length = gradient.iter().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
+            let mut at = |by: f64| {
+                let pairs = params.iter().zip(&gradient);
+                let there: Vec<f32> =
+                    pairs.map(|(&x, &g)| (f64::from(x) + by * f64::from(g) / length) as f32).collect();
+                problem.objective(&there, &mut maps, None).unwrap()
+            };
+            let difference = (at(2e-3) - at(-2e-3)) / 4e-3;
+            assert!((difference / length - 1.0).abs() < 1e-2, "{reflectance:?}: {difference} {length}");
+        }
     }
 
     #[test]
