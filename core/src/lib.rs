@@ -12,6 +12,7 @@ mod deviations;
 pub mod error;
 pub mod export;
 pub mod fit;
+mod font;
 pub mod image;
 pub mod io;
 pub mod maps;

@@ -5,11 +5,13 @@ use std::ops::ControlFlow;
 pub use crate::cancel::CancelToken;
 use crate::error::{Error, Result};
 
-/// The parts of a fit, in the order they run.
+/// The parts of a fit, in the order they run, after that of making a capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Stage {
+    /// Photos of a printed sheet become a capture.
+    Acquire,
     /// The photos pass through the network once.
     Encode,
     /// Adam on the latent code (paper, Eq. 6).
@@ -26,6 +28,7 @@ impl Stage {
     /// The name used in files and messages.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Acquire => "acquire",
             Self::Encode => "encode",
             Self::Latent => "latent",
             Self::Adapters => "adapters",

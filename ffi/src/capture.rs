@@ -1,7 +1,8 @@
 //! Photos and where camera and light stood.
 
-use std::ffi::{CString, c_char};
+use std::ffi::{CStr, CString, c_char};
 
+use svbrdf_gcn::acquire::Acquisition;
 use svbrdf_gcn::{Capture, CaptureOptions, Photo, PhotoPixels, Transfer};
 
 use crate::guard::{borrow, borrow_mut, guard, guard_value, path};
@@ -12,32 +13,69 @@ use crate::status::{Failure, Result, c_string, svbrdf_gcn_status};
 
 /// Photos of one sample, all of the same size, and where camera and light stood for each.
 pub struct svbrdf_gcn_capture {
-    /// `None` until the first photo is there.
-    capture: Option<Capture>,
-    warnings: Vec<CString>,
     source: Source,
+    warnings: Vec<CString>,
+    report_json: CString,
 }
 
 impl Handle for svbrdf_gcn_capture {}
 
 /// Where photos come from.
 enum Source {
-    Disk,
-    Host { patch_size: f64, transfer: Transfer, white_level: Option<f32>, options: CaptureOptions },
+    Disk(Capture),
+    Host(Host),
+    Acquired(Acquisition),
+}
+
+/// Photos of the host.
+struct Host {
+    patch_size: f64,
+    transfer: Transfer,
+    white_level: Option<f32>,
+    options: CaptureOptions,
+    /// `None` until the first photo is there.
+    capture: Option<Capture>,
 }
 
 impl svbrdf_gcn_capture {
-    fn new(capture: Option<Capture>, source: Source) -> Self {
-        let warnings = warnings(capture.as_ref());
-        Self { capture, warnings, source }
+    fn new(source: Source) -> Self {
+        let mut made = Self { source, warnings: Vec::new(), report_json: c_string("null") };
+        made.warnings = warnings(made.any());
+        made
+    }
+
+    pub(crate) fn acquired(acquisition: Acquisition) -> Result<Self> {
+        let report = serde_json::to_string(&acquisition.report).map_err(|error| Failure::invalid("report", error))?;
+        let warnings = acquisition.report.warnings.iter().map(|warning| c_string(warning)).collect();
+        Ok(Self { source: Source::Acquired(acquisition), warnings, report_json: c_string(&report) })
+    }
+
+    pub(crate) fn acquisition(&self) -> Result<&Acquisition> {
+        match &self.source {
+            Source::Acquired(acquisition) => Ok(acquisition),
+            _ => Err(Failure::invalid("capture", "expected one that svbrdf_gcn_acquire made, got another")),
+        }
+    }
+
+    pub(crate) fn report_json(&self) -> &CStr {
+        &self.report_json
+    }
+
+    /// The capture, if there is a photo.
+    fn any(&self) -> Option<&Capture> {
+        match &self.source {
+            Source::Disk(capture) => Some(capture),
+            Source::Host(host) => host.capture.as_ref(),
+            Source::Acquired(acquisition) => Some(&acquisition.capture),
+        }
     }
 
     pub(crate) fn capture(&self) -> Result<&Capture> {
-        self.capture.as_ref().ok_or_else(|| Failure::invalid("capture", "expected at least one photo, got 0"))
+        self.any().ok_or_else(|| Failure::invalid("capture", "expected at least one photo, got 0"))
     }
 
     pub(crate) fn photo(&self, index: usize) -> Result<&Photo> {
-        let photos = self.capture.as_ref().map_or(&[][..], Capture::photos);
+        let photos = self.any().map_or(&[][..], Capture::photos);
         photos
             .get(index)
             .ok_or_else(|| Failure::invalid("index", format!("photo {index} of a capture of {} photos", photos.len())))
@@ -69,7 +107,7 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_open(
         // SAFETY: NULL or as many views as the caller said, NULL or a living token.
         let capture = Capture::open_with(path, &unsafe { options.capture_options() }?)?;
         // SAFETY: not NULL.
-        unsafe { give(out, svbrdf_gcn_capture::new(Some(capture), Source::Disk)) };
+        unsafe { give(out, svbrdf_gcn_capture::new(Source::Disk(capture))) };
         Ok(())
     })
 }
@@ -100,9 +138,15 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_create(
             return Err(Failure::invalid("views", "only captures on disk have them: add the photos to be used"));
         }
         let white_level = (theirs.white_level != 0.0).then_some(theirs.white_level);
-        let source = Source::Host { patch_size, transfer, white_level, options };
+        if let Some(light_intensity) = options.light_intensity {
+            return Err(Failure::invalid(
+                "light_intensity",
+                format!("photos of the host have theirs in their shots: expected zeros, got {light_intensity:?}"),
+            ));
+        }
+        let host = Host { patch_size, transfer, white_level, options, capture: None };
         // SAFETY: not NULL.
-        unsafe { give(out, svbrdf_gcn_capture::new(None, source)) };
+        unsafe { give(out, svbrdf_gcn_capture::new(Source::Host(host))) };
         Ok(())
     })
 }
@@ -118,25 +162,25 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_add_photo(
     guard(|| {
         // SAFETY: NULL or a living capture that nobody else uses, says the caller.
         let handle = unsafe { borrow_mut("capture", capture) }?;
-        let Source::Host { patch_size, transfer, white_level, options } = &handle.source else {
-            return Err(Failure::invalid("capture", "it was read from disk and takes no more photos"));
+        let Source::Host(host) = &mut handle.source else {
+            return Err(Failure::invalid("capture", "it was read from files and takes no more photos"));
         };
         // SAFETY: NULL or a shot, whose name is NULL or a string, says the caller.
         let (name, shot) = unsafe {
             let shot = read("shot", shot)?;
-            (shot.name(handle.capture.as_ref().map_or(0, Capture::len))?, shot.shot())
+            (shot.name(host.capture.as_ref().map_or(0, Capture::len))?, shot.shot())
         };
         // SAFETY: NULL or a view of pixels that are there, says the caller.
         let image = unsafe { HostImage::read("pixels", pixels) }?;
         let HostImage { width, height, channels, .. } = image;
         let photo = PhotoPixels { name: &name, shot, width, height, channels, samples: image.samples() };
-        let options = options.clone().in_use(handle.capture.as_ref().map_or(0, Capture::memory));
-        let added = Capture::from_photos(&[photo], *patch_size, *transfer, *white_level, &options)?;
-        match &mut handle.capture {
+        let options = host.options.clone().in_use(host.capture.as_ref().map_or(0, Capture::memory));
+        let added = Capture::from_photos(&[photo], host.patch_size, host.transfer, host.white_level, &options)?;
+        match &mut host.capture {
             Some(capture) => capture.append(added)?,
             none => *none = Some(added),
         }
-        handle.warnings = warnings(handle.capture.as_ref());
+        handle.warnings = warnings(handle.any());
         Ok(())
     })
 }
@@ -153,7 +197,7 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_destroy(capture: *mut svbrdf_gcn_cap
 pub unsafe extern "C" fn svbrdf_gcn_capture_photo_count(capture: *const svbrdf_gcn_capture) -> usize {
     guard_value(0, || {
         // SAFETY: NULL or a living capture, says the caller.
-        Ok(unsafe { borrow("capture", capture) }?.capture.as_ref().map_or(0, Capture::len))
+        Ok(unsafe { borrow("capture", capture) }?.any().map_or(0, Capture::len))
     })
 }
 
@@ -162,7 +206,7 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_photo_count(capture: *const svbrdf_g
 pub unsafe extern "C" fn svbrdf_gcn_capture_width(capture: *const svbrdf_gcn_capture) -> usize {
     guard_value(0, || {
         // SAFETY: NULL or a living capture, says the caller.
-        Ok(unsafe { borrow("capture", capture) }?.capture.as_ref().map_or(0, Capture::width))
+        Ok(unsafe { borrow("capture", capture) }?.any().map_or(0, Capture::width))
     })
 }
 
@@ -171,7 +215,7 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_width(capture: *const svbrdf_gcn_cap
 pub unsafe extern "C" fn svbrdf_gcn_capture_height(capture: *const svbrdf_gcn_capture) -> usize {
     guard_value(0, || {
         // SAFETY: NULL or a living capture, says the caller.
-        Ok(unsafe { borrow("capture", capture) }?.capture.as_ref().map_or(0, Capture::height))
+        Ok(unsafe { borrow("capture", capture) }?.any().map_or(0, Capture::height))
     })
 }
 

@@ -10,6 +10,7 @@
 #[cfg(not(panic = "unwind"))]
 compile_error!("the guard at the boundary catches panics, so they have to unwind");
 
+pub mod acquire;
 pub mod capture;
 pub mod guard;
 pub mod handle;

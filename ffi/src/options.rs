@@ -3,6 +3,7 @@
 use std::ffi::{c_char, c_void};
 use std::ptr;
 
+use svbrdf_gcn::acquire::{AcquireOptions, Sheet};
 use svbrdf_gcn::capture::MAX_PHOTOS;
 use svbrdf_gcn::io::material::{MaterialFormat, SaveOptions};
 use svbrdf_gcn::{
@@ -404,6 +405,9 @@ pub struct svbrdf_gcn_capture_options {
     /// Most bytes the run may use, from the reading of photos on; -1, the default: three quarters of the free memory. What photos need is known from
     /// their files' headers, before any is decoded: `SVBRDF_GCN_ERR_OUT_OF_MEMORY` if it is more. Photos of the host count as they are kept.
     pub max_memory: i64,
+    /// RGB intensity of the light of every photo, as in `svbrdf_gcn_shot`, in place of what the capture on disk states, or of what is chosen for one photo alone; three
+    /// zeros, the default: not given. Photos of the host have theirs in their shots.
+    pub light_intensity: [f64; 3],
 }
 
 impl SizeFirst for svbrdf_gcn_capture_options {
@@ -421,6 +425,7 @@ impl SizeFirst for svbrdf_gcn_capture_options {
             ignore_profiles: 0,
             cancel: ptr::null(),
             max_memory: -1,
+            light_intensity: [0.0; 3],
         }
     }
 }
@@ -433,6 +438,7 @@ impl svbrdf_gcn_capture_options {
         let mut options = CaptureOptions::new().cancel(unsafe { token_or_new(self.cancel) });
         options.size = given("size", self.size)?;
         options.max_memory = given("max_memory", self.max_memory)?;
+        options.light_intensity = (self.light_intensity != [0.0; 3]).then_some(self.light_intensity);
         if self.view_count > MAX_PHOTOS {
             return Err(Failure::invalid(
                 "view_count",
@@ -473,6 +479,81 @@ impl svbrdf_gcn_capture_options {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn svbrdf_gcn_capture_options_init(
     options: *mut svbrdf_gcn_capture_options,
+    struct_size: usize,
+) -> svbrdf_gcn_status {
+    // SAFETY: `options` has `struct_size` bytes, says the caller.
+    unsafe { init("options", options, struct_size) }
+}
+
+/// How photos of a printed sheet become a capture; lengths are in millimetres. Always fill it with `svbrdf_gcn_acquire_options_init` first.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct svbrdf_gcn_acquire_options {
+    /// `sizeof(svbrdf_gcn_acquire_options)`.
+    pub struct_size: usize,
+    /// Width of the window of our own sheet (`svbrdf-gcn sheet`); 100 by default.
+    pub window: f64,
+    /// The photos show the frame of svbrdf-diff-renderer instead, this wide from outer edge to outer edge; 0, the default: they do not.
+    pub frame_width: f64,
+    /// Length of the sheet's bar of 100 mm as it was printed; 100 by default.
+    pub printed_bar: f64,
+    /// How far the sample lies below the sheet's face; 0 by default, negative above it.
+    pub depth: f64,
+    /// Where the flash is, seen from the lens: to the right and up in the photos; at the lens by default.
+    pub light_offset: [f64; 2],
+    /// Diffuse albedo of the paper; 0.8 by default.
+    pub paper_white: f64,
+    /// Side of the rectified photos in pixels, 16 to 16384; -1, the default: 1024. They are never finer than the photos.
+    pub size: i64,
+    /// Most bytes the work may use; -1, the default: three quarters of the free memory.
+    pub max_memory: i64,
+    /// Called with the progress, on the thread that called `svbrdf_gcn_acquire`; NULL, the default: nobody is told.
+    pub progress: svbrdf_gcn_progress_fn,
+    /// Handed to `progress` as it is.
+    pub progress_user_data: *mut c_void,
+    /// Stops the work from another thread; NULL, the default: nothing does. It has to live until the call returns.
+    pub cancel: *const svbrdf_gcn_cancel_token,
+}
+
+impl SizeFirst for svbrdf_gcn_acquire_options {
+    const NAME: &'static str = "svbrdf_gcn_acquire_options";
+
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>(),
+            window: 100.0,
+            frame_width: 0.0,
+            printed_bar: 100.0,
+            depth: 0.0,
+            light_offset: [0.0; 2],
+            paper_white: 0.8,
+            size: -1,
+            max_memory: -1,
+            progress: None,
+            progress_user_data: ptr::null_mut(),
+            cancel: ptr::null(),
+        }
+    }
+}
+
+impl svbrdf_gcn_acquire_options {
+    pub(crate) fn acquire_options(&self, cancel: CancelToken) -> Result<AcquireOptions> {
+        let sheet = if self.frame_width == 0.0 { Sheet::new(self.window) } else { Sheet::tags16(self.frame_width) };
+        let mut options = AcquireOptions::new(sheet?.with_printed_bar(self.printed_bar)?);
+        options.depth = self.depth;
+        options.light_offset = self.light_offset;
+        options.paper_white = self.paper_white;
+        options.size = given("size", self.size)?;
+        options.max_memory = given("max_memory", self.max_memory)?;
+        options.cancel = cancel;
+        Ok(options)
+    }
+}
+
+/// Fills acquire options with their defaults. `struct_size` is `sizeof(svbrdf_gcn_acquire_options)`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn svbrdf_gcn_acquire_options_init(
+    options: *mut svbrdf_gcn_acquire_options,
     struct_size: usize,
 ) -> svbrdf_gcn_status {
     // SAFETY: `options` has `struct_size` bytes, says the caller.
@@ -710,6 +791,9 @@ mod tests {
         let ours = unsafe { defaults.capture_options() }.unwrap();
         assert_eq!(format!("{ours:?}"), format!("{:?}", CaptureOptions::new()));
         assert_eq!(svbrdf_gcn_save_options::defaults().save_options().unwrap(), SaveOptions::default());
+        let ours = svbrdf_gcn_acquire_options::defaults().acquire_options(CancelToken::new()).unwrap();
+        let core = AcquireOptions::new(Sheet::new(100.0).unwrap());
+        assert_eq!(format!("{ours:?}"), format!("{core:?}"));
     }
 
     #[test]
@@ -730,6 +814,7 @@ mod tests {
             let mut capture = svbrdf_gcn_capture_options::defaults();
             let mut save = svbrdf_gcn_save_options::defaults();
             let mut export = svbrdf_gcn_export_options::defaults();
+            let mut acquire = svbrdf_gcn_acquire_options::defaults();
             /// # Safety
             /// Any bits are a `T`.
             unsafe fn fill<T>(value: &mut T, bytes: &[u8]) {
@@ -744,6 +829,7 @@ mod tests {
                 fill(&mut capture, &bytes);
                 fill(&mut save, &bytes);
                 fill(&mut export, &bytes);
+                fill(&mut acquire, &bytes);
             }
             (capture.views, capture.cancel, export.name) = (ptr::null(), ptr::null(), ptr::null());
             let fit = options.fit_options(CancelToken::new());
@@ -752,7 +838,7 @@ mod tests {
             }
             // SAFETY: there are no views, no token and no name.
             let (capture, export) = unsafe { (capture.capture_options(), export.export_options()) };
-            drop((capture, export, save.save_options()));
+            drop((capture, export, save.save_options(), acquire.acquire_options(CancelToken::new())));
         }
     }
 }

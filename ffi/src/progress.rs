@@ -1,4 +1,4 @@
-//! Progress of a fit, and stopping it.
+//! Progress of long work, and stopping it.
 
 use std::ffi::c_void;
 use std::ops::ControlFlow;
@@ -12,7 +12,7 @@ use crate::status::{Failure, Result, svbrdf_gcn_status};
 use svbrdf_gcn_stage::*;
 use svbrdf_gcn_step::*;
 
-/// The parts of a fit. Later releases may add some.
+/// The parts of a fit, and of `svbrdf_gcn_acquire`. Later releases may add some.
 #[repr(i32)]
 pub enum svbrdf_gcn_stage {
     /// The photos pass through the network once.
@@ -25,20 +25,22 @@ pub enum svbrdf_gcn_stage {
     SVBRDF_GCN_STAGE_DIRECT = 3,
     /// The predicted maps are fitted to the photos pixel by pixel.
     SVBRDF_GCN_STAGE_FINISH = 4,
+    /// Photos of a printed sheet become a capture.
+    SVBRDF_GCN_STAGE_ACQUIRE = 5,
     /// A part this release has no number for.
     SVBRDF_GCN_STAGE_OTHER = -1,
 }
 
-/// What a progress callback returns. Anything else stops the fit with `SVBRDF_GCN_ERR_INVALID_ARGUMENT`.
+/// What a progress callback returns. Anything else stops the work with `SVBRDF_GCN_ERR_INVALID_ARGUMENT`.
 #[repr(i32)]
 pub enum svbrdf_gcn_step {
     /// Go on.
     SVBRDF_GCN_CONTINUE = 0,
-    /// Stop; the fit then returns `SVBRDF_GCN_CANCELLED`.
+    /// Stop; the call then returns `SVBRDF_GCN_CANCELLED`.
     SVBRDF_GCN_STOP = 1,
 }
 
-/// Where a fit stands. The library makes it; fields may be added at its end.
+/// Where a fit, or `svbrdf_gcn_acquire`, stands. The library makes it; fields may be added at its end.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct svbrdf_gcn_progress {
@@ -56,8 +58,9 @@ pub struct svbrdf_gcn_progress {
     pub loss: f64,
 }
 
-/// Called on the thread that called `svbrdf_gcn_fit_material`, at least after every step and some ten times a second in long ones; never after the fit
-/// returned. `progress` is valid during the call. Returns a `svbrdf_gcn_step`. It must not throw, jump out, or destroy what the fit uses.
+/// Called on the thread that called `svbrdf_gcn_fit_material`, at least after every step and some ten times a second in long ones, or `svbrdf_gcn_acquire`, some
+/// twenty times a second and at the end; never after that returned. `progress` is valid during the call. Returns a `svbrdf_gcn_step`. It must not throw, jump out, or
+/// destroy what the call uses.
 pub type svbrdf_gcn_progress_fn =
     Option<unsafe extern "C" fn(user_data: *mut c_void, progress: *const svbrdf_gcn_progress) -> i32>;
 
@@ -84,6 +87,7 @@ impl Callback {
             Stage::Adapters => SVBRDF_GCN_STAGE_ADAPTERS,
             Stage::Direct => SVBRDF_GCN_STAGE_DIRECT,
             Stage::Finish => SVBRDF_GCN_STAGE_FINISH,
+            Stage::Acquire => SVBRDF_GCN_STAGE_ACQUIRE,
             _ => SVBRDF_GCN_STAGE_OTHER,
         };
         let report = svbrdf_gcn_progress {
@@ -117,7 +121,7 @@ impl Callback {
     }
 }
 
-/// A flag that stops fits and the reading of photos. It may be used from any thread, at any time while it lives. Once cancelled it stays cancelled:
+/// A flag that stops fits, `svbrdf_gcn_acquire` and the reading of photos. It may be used from any thread, at any time while it lives. Once cancelled it stays cancelled:
 /// what is started with it returns `SVBRDF_GCN_CANCELLED` at once; take a new one for the next run.
 pub struct svbrdf_gcn_cancel_token(CancelToken);
 

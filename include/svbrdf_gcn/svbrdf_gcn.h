@@ -426,7 +426,7 @@ typedef int32_t svbrdf_gcn_format;
 #endif // __cplusplus
 
 /**
- * The parts of a fit. Later releases may add some.
+ * The parts of a fit, and of `svbrdf_gcn_acquire`. Later releases may add some.
  */
 enum svbrdf_gcn_stage
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -454,6 +454,10 @@ enum svbrdf_gcn_stage
    */
   SVBRDF_GCN_STAGE_FINISH = 4,
   /**
+   * Photos of a printed sheet become a capture.
+   */
+  SVBRDF_GCN_STAGE_ACQUIRE = 5,
+  /**
    * A part this release has no number for.
    */
   SVBRDF_GCN_STAGE_OTHER = -1,
@@ -467,7 +471,7 @@ typedef int32_t svbrdf_gcn_stage;
 #endif // __cplusplus
 
 /**
- * What a progress callback returns. Anything else stops the fit with `SVBRDF_GCN_ERR_INVALID_ARGUMENT`.
+ * What a progress callback returns. Anything else stops the work with `SVBRDF_GCN_ERR_INVALID_ARGUMENT`.
  */
 enum svbrdf_gcn_step
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -479,7 +483,7 @@ enum svbrdf_gcn_step
    */
   SVBRDF_GCN_CONTINUE = 0,
   /**
-   * Stop; the fit then returns `SVBRDF_GCN_CANCELLED`.
+   * Stop; the call then returns `SVBRDF_GCN_CANCELLED`.
    */
   SVBRDF_GCN_STOP = 1,
 };
@@ -492,7 +496,7 @@ typedef int32_t svbrdf_gcn_step;
 #endif // __cplusplus
 
 /**
- * A flag that stops fits and the reading of photos. It may be used from any thread, at any time while it lives. Once cancelled it stays cancelled:
+ * A flag that stops fits, `svbrdf_gcn_acquire` and the reading of photos. It may be used from any thread, at any time while it lives. Once cancelled it stays cancelled:
  * what is started with it returns `SVBRDF_GCN_CANCELLED` at once; take a new one for the next run.
  */
 typedef struct svbrdf_gcn_cancel_token svbrdf_gcn_cancel_token;
@@ -511,6 +515,97 @@ typedef struct svbrdf_gcn_material svbrdf_gcn_material;
  * The networks of a weights file. Immutable: any number of fits may use it at once.
  */
 typedef struct svbrdf_gcn_model svbrdf_gcn_model;
+
+/**
+ * Where a fit, or `svbrdf_gcn_acquire`, stands. The library makes it; fields may be added at its end.
+ */
+typedef struct svbrdf_gcn_progress {
+  /**
+   * The size of the library's struct.
+   */
+  size_t struct_size;
+  /**
+   * A `svbrdf_gcn_stage`.
+   */
+  int32_t stage;
+  /**
+   * 1 if `loss` means something.
+   */
+  int32_t has_loss;
+  /**
+   * Steps of this stage that are done.
+   */
+  size_t step;
+  /**
+   * Steps this stage takes at most.
+   */
+  size_t steps;
+  /**
+   * The loss before the last step.
+   */
+  double loss;
+} svbrdf_gcn_progress;
+
+/**
+ * Called on the thread that called `svbrdf_gcn_fit_material`, at least after every step and some ten times a second in long ones, or `svbrdf_gcn_acquire`, some
+ * twenty times a second and at the end; never after that returned. `progress` is valid during the call. Returns a `svbrdf_gcn_step`. It must not throw, jump out, or
+ * destroy what the call uses.
+ */
+typedef int32_t (*svbrdf_gcn_progress_fn)(void *user_data, const struct svbrdf_gcn_progress *progress);
+
+/**
+ * How photos of a printed sheet become a capture; lengths are in millimetres. Always fill it with `svbrdf_gcn_acquire_options_init` first.
+ */
+typedef struct svbrdf_gcn_acquire_options {
+  /**
+   * `sizeof(svbrdf_gcn_acquire_options)`.
+   */
+  size_t struct_size;
+  /**
+   * Width of the window of our own sheet (`svbrdf-gcn sheet`); 100 by default.
+   */
+  double window;
+  /**
+   * The photos show the frame of svbrdf-diff-renderer instead, this wide from outer edge to outer edge; 0, the default: they do not.
+   */
+  double frame_width;
+  /**
+   * Length of the sheet's bar of 100 mm as it was printed; 100 by default.
+   */
+  double printed_bar;
+  /**
+   * How far the sample lies below the sheet's face; 0 by default, negative above it.
+   */
+  double depth;
+  /**
+   * Where the flash is, seen from the lens: to the right and up in the photos; at the lens by default.
+   */
+  double light_offset[2];
+  /**
+   * Diffuse albedo of the paper; 0.8 by default.
+   */
+  double paper_white;
+  /**
+   * Side of the rectified photos in pixels, 16 to 16384; -1, the default: 1024. They are never finer than the photos.
+   */
+  int64_t size;
+  /**
+   * Most bytes the work may use; -1, the default: three quarters of the free memory.
+   */
+  int64_t max_memory;
+  /**
+   * Called with the progress, on the thread that called `svbrdf_gcn_acquire`; NULL, the default: nobody is told.
+   */
+  svbrdf_gcn_progress_fn progress;
+  /**
+   * Handed to `progress` as it is.
+   */
+  void *progress_user_data;
+  /**
+   * Stops the work from another thread; NULL, the default: nothing does. It has to live until the call returns.
+   */
+  const struct svbrdf_gcn_cancel_token *cancel;
+} svbrdf_gcn_acquire_options;
 
 /**
  * How photos are read. Always fill it with `svbrdf_gcn_capture_options_init` first.
@@ -561,6 +656,11 @@ typedef struct svbrdf_gcn_capture_options {
    * their files' headers, before any is decoded: `SVBRDF_GCN_ERR_OUT_OF_MEMORY` if it is more. Photos of the host count as they are kept.
    */
   int64_t max_memory;
+  /**
+   * RGB intensity of the light of every photo, as in `svbrdf_gcn_shot`, in place of what the capture on disk states, or of what is chosen for one photo alone; three
+   * zeros, the default: not given. Photos of the host have theirs in their shots.
+   */
+  double light_intensity[3];
 } svbrdf_gcn_capture_options;
 
 /**
@@ -678,42 +778,6 @@ typedef struct svbrdf_gcn_image_buffer {
    */
   ptrdiff_t channel_stride;
 } svbrdf_gcn_image_buffer;
-
-/**
- * Where a fit stands. The library makes it; fields may be added at its end.
- */
-typedef struct svbrdf_gcn_progress {
-  /**
-   * The size of the library's struct.
-   */
-  size_t struct_size;
-  /**
-   * A `svbrdf_gcn_stage`.
-   */
-  int32_t stage;
-  /**
-   * 1 if `loss` means something.
-   */
-  int32_t has_loss;
-  /**
-   * Steps of this stage that are done.
-   */
-  size_t step;
-  /**
-   * Steps this stage takes at most.
-   */
-  size_t steps;
-  /**
-   * The loss before the last step.
-   */
-  double loss;
-} svbrdf_gcn_progress;
-
-/**
- * Called on the thread that called `svbrdf_gcn_fit_material`, at least after every step and some ten times a second in long ones; never after the fit
- * returned. `progress` is valid during the call. Returns a `svbrdf_gcn_step`. It must not throw, jump out, or destroy what the fit uses.
- */
-typedef int32_t (*svbrdf_gcn_progress_fn)(void *user_data, const struct svbrdf_gcn_progress *progress);
 
 /**
  * Options of a fit; the names are those of the command line, where the photos and the files have theirs too (see
@@ -844,6 +908,30 @@ uint32_t svbrdf_gcn_abi_version(void);
  * The version of the library that is loaded, as `SVBRDF_GCN_VERSION` spells it. Never NULL, valid for ever.
  */
 const char *svbrdf_gcn_version(void);
+
+/**
+ * Makes a capture of photos that show the sample in the window of a printed sheet (`svbrdf-gcn sheet`, docs/capturing.md).
+ *
+ * `photo_paths_utf8` are the paths of `photo_count` files; `options` may be NULL for the defaults. Photos that cannot be used are left out, and named in the report
+ * (`svbrdf_gcn_capture_report_json`) and among the warnings. Positions are in millimetres. Destroy the capture with `svbrdf_gcn_capture_destroy`.
+ */
+svbrdf_gcn_status svbrdf_gcn_acquire(const char *const *photo_paths_utf8,
+                                     size_t photo_count,
+                                     const struct svbrdf_gcn_acquire_options *options,
+                                     struct svbrdf_gcn_capture **out);
+
+/**
+ * What `svbrdf_gcn_acquire` found, as JSON: `photos`, those `left_out` with the reason, `lenses`, `warnings`. "null" for captures that came about otherwise; NULL if
+ * `capture` is. Valid as long as the capture.
+ */
+const char *svbrdf_gcn_capture_report_json(const struct svbrdf_gcn_capture *capture);
+
+/**
+ * Writes a capture that `svbrdf_gcn_acquire` made to a folder: `capture.json`, the rectified photos as OpenEXR, for each with saturated pixels a PNG that says which, and `contact-sheet.png`.
+ * Others are `SVBRDF_GCN_ERR_INVALID_ARGUMENT`, and so is a folder whose files are not ours.
+ */
+svbrdf_gcn_status svbrdf_gcn_capture_save(const struct svbrdf_gcn_capture *capture,
+                                          const char *folder_utf8);
 
 /**
  * Reads a capture from disk: a folder, or a JSON file, as the command line does. `path_utf8` is UTF-8; `options` may be NULL. Destroy the
@@ -1038,6 +1126,11 @@ svbrdf_gcn_status svbrdf_gcn_options_init(struct svbrdf_gcn_options *options, si
  * Fills capture options with their defaults. `struct_size` is `sizeof(svbrdf_gcn_capture_options)`.
  */
 svbrdf_gcn_status svbrdf_gcn_capture_options_init(struct svbrdf_gcn_capture_options *options, size_t struct_size);
+
+/**
+ * Fills acquire options with their defaults. `struct_size` is `sizeof(svbrdf_gcn_acquire_options)`.
+ */
+svbrdf_gcn_status svbrdf_gcn_acquire_options_init(struct svbrdf_gcn_acquire_options *options, size_t struct_size);
 
 /**
  * Sets `struct_size` and makes everything else 0; the rest has to be filled in. `struct_size` is `sizeof(svbrdf_gcn_shot)`.

@@ -168,6 +168,7 @@ enum class Stage : std::int32_t {
     Adapters = SVBRDF_GCN_STAGE_ADAPTERS,
     Direct = SVBRDF_GCN_STAGE_DIRECT,
     Finish = SVBRDF_GCN_STAGE_FINISH,
+    Acquire = SVBRDF_GCN_STAGE_ACQUIRE,
 };
 
 enum class PixelType : std::int32_t {
@@ -180,7 +181,7 @@ enum class PixelType : std::int32_t {
 /// What a progress callback returns.
 enum class Step : std::int32_t { Continue = SVBRDF_GCN_CONTINUE, Stop = SVBRDF_GCN_STOP };
 
-/// Where a fit stands.
+/// Where a fit, or acquire, stands.
 struct Progress {
     Stage stage;
     /// Steps of this stage that are done, and that it takes at most.
@@ -189,10 +190,10 @@ struct Progress {
     std::optional<double> loss;
 };
 
-/// Called on the thread that called fit_material, after every step and some ten times a second in long ones.
+/// Called on the thread that called fit_material, after every step and some ten times a second in long ones, or acquire, some twenty times a second.
 using ProgressFunction = std::function<Step(const Progress &)>;
 
-/// Stops fits and the reading of photos from any thread. Once cancelled it stays cancelled.
+/// Stops fits, acquire and the reading of photos from any thread. Once cancelled it stays cancelled.
 class CancelToken {
 public:
     CancelToken() : handle_(detail::made<svbrdf_gcn_cancel_token>(svbrdf_gcn_cancel_token_create)) {}
@@ -281,6 +282,30 @@ struct CaptureOptions {
     const CancelToken *cancel = nullptr;
     /// Most bytes the run may use, from the reading of photos on; three quarters of the free memory if not given.
     std::optional<std::int64_t> max_memory;
+    /// Intensity of the light of every photo, in place of what the capture on disk states, or of what is chosen for one photo alone.
+    std::optional<Vec3> light_intensity;
+};
+
+/// How photos of a printed sheet become a capture; lengths are in millimetres.
+struct AcquireOptions {
+    /// Width of the window of our own sheet.
+    double window = 100.0;
+    /// The photos show the frame of svbrdf-diff-renderer instead, this wide from outer edge to outer edge.
+    std::optional<double> frame_width;
+    /// Length of the sheet's bar of 100 mm as it was printed.
+    double printed_bar = 100.0;
+    /// How far the sample lies below the sheet's face.
+    double depth = 0.0;
+    /// Where the flash is, seen from the lens: to the right and up in the photos.
+    std::array<double, 2> light_offset{};
+    /// Diffuse albedo of the paper.
+    double paper_white = 0.8;
+    /// Side of the rectified photos in pixels; 1024 if not given. They are never finer than the photos.
+    std::optional<std::int64_t> size;
+    /// Most bytes the work may use; three quarters of the free memory if not given.
+    std::optional<std::int64_t> max_memory;
+    /// Stops the work from another thread; has to live until the call returns.
+    const CancelToken *cancel = nullptr;
 };
 
 /// Options of a fit, under the names of the command line.
@@ -351,10 +376,15 @@ inline svbrdf_gcn_capture_options capture_options(const CaptureOptions &options)
     made.ignore_profiles = options.ignore_profiles ? 1 : 0;
     made.cancel = options.cancel ? options.cancel->get() : nullptr;
     made.max_memory = options.max_memory.value_or(-1);
+    if (options.light_intensity) {
+        for (std::size_t i = 0; i < 3; ++i) {
+            made.light_intensity[i] = (*options.light_intensity)[i];
+        }
+    }
     return made;
 }
 
-/// What the trampoline needs of a fit's caller.
+/// What the trampoline needs of the caller.
 struct Caller {
     const ProgressFunction &progress;
     std::exception_ptr thrown;
@@ -373,7 +403,25 @@ inline std::int32_t trampoline(void *user_data, const svbrdf_gcn_progress *at) n
     }
 }
 
+/// Calls the C function with options that report to `progress`; what that throws comes out.
+template <class Handle, class Options, class Call> Handle *reported(Options options, const ProgressFunction &progress, Call &&call) {
+    Caller caller{progress, nullptr};
+    if (progress) {
+        options.progress = trampoline;
+        options.progress_user_data = &caller;
+    }
+    Handle *handle = nullptr;
+    const auto status = call(&options, &handle);
+    if (caller.thrown) {
+        std::rethrow_exception(caller.thrown);
+    }
+    check(status);
+    return handle;
+}
+
 } // namespace detail
+
+struct Acquisition;
 
 /// Photos of one sample, all of the same size, and where camera and light stood for each.
 class Capture {
@@ -430,10 +478,46 @@ public:
     const svbrdf_gcn_capture *get() const noexcept { return handle_.get(); }
 
 private:
+    friend Acquisition acquire(const std::vector<std::string> &, const AcquireOptions &, const ProgressFunction &);
     explicit Capture(svbrdf_gcn_capture *handle) : handle_(handle) {}
 
     detail::Owner<svbrdf_gcn_capture, svbrdf_gcn_capture_destroy> handle_;
 };
+
+/// A capture made of photos of a printed sheet, and how it came about.
+struct Acquisition {
+    /// The rectified photos with their positions, in millimetres. Its warnings are those of the report.
+    Capture capture;
+    /// What was found: photos, those left_out with the reason, lenses, warnings.
+    std::string report_json;
+
+    /// Writes capture.json, the rectified photos as OpenEXR, for each with saturated pixels a PNG that says which, and `contact-sheet.png`.
+    void save(const std::string &folder) const { detail::check(svbrdf_gcn_capture_save(capture.get(), folder.c_str())); }
+};
+
+/// Makes a capture of photos that show the sample in the window of a printed sheet (docs/capturing.md). Photos that cannot be used are left out and named in the report.
+inline Acquisition acquire(const std::vector<std::string> &photos, const AcquireOptions &options = {}, const ProgressFunction &progress = {}) {
+    std::vector<const char *> paths;
+    for (const auto &photo : photos) {
+        paths.push_back(photo.c_str());
+    }
+    auto converted = detail::initialised(svbrdf_gcn_acquire_options_init);
+    converted.window = options.window;
+    converted.frame_width = options.frame_width.value_or(0.0);
+    converted.printed_bar = options.printed_bar;
+    converted.depth = options.depth;
+    converted.light_offset[0] = options.light_offset[0];
+    converted.light_offset[1] = options.light_offset[1];
+    converted.paper_white = options.paper_white;
+    converted.size = options.size.value_or(-1);
+    converted.max_memory = options.max_memory.value_or(-1);
+    converted.cancel = options.cancel ? options.cancel->get() : nullptr;
+    Capture capture(detail::reported<svbrdf_gcn_capture>(converted, progress, [&](const auto *how, svbrdf_gcn_capture **out) {
+        return svbrdf_gcn_acquire(paths.data(), paths.size(), how, out);
+    }));
+    std::string report = svbrdf_gcn_capture_report_json(capture.get());
+    return {std::move(capture), std::move(report)};
+}
 
 /// The maps of a material.
 class Material {
@@ -544,18 +628,9 @@ inline Material fit(const svbrdf_gcn_model *model, const Capture &capture, const
     converted.threads = options.threads.value_or(-1);
     converted.early_stop = options.early_stop ? 1 : 0;
     converted.cancel = options.cancel ? options.cancel->get() : nullptr;
-    Caller caller{progress, nullptr};
-    if (progress) {
-        converted.progress = trampoline;
-        converted.progress_user_data = &caller;
-    }
-    svbrdf_gcn_material *material = nullptr;
-    const auto status = svbrdf_gcn_fit_material(model, capture.get(), &converted, &material);
-    if (caller.thrown) {
-        std::rethrow_exception(caller.thrown);
-    }
-    check(status);
-    return Material(material);
+    return Material(reported<svbrdf_gcn_material>(converted, progress, [&](const auto *how, svbrdf_gcn_material **out) {
+        return svbrdf_gcn_fit_material(model, capture.get(), how, out);
+    }));
 }
 
 } // namespace detail

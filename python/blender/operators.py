@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fit, cancel, export, and the list of photos."""
+"""Fit, cancel, export, and the lists of photos."""
 
 import re
 from pathlib import Path
@@ -54,7 +54,8 @@ def parse_views(text):
 
 
 def prepare(settings):
-    """Read what belongs to Blender, and return the name of the capture and the work that is left, which belongs to any thread."""
+    """Read what belongs to Blender, and return the name of the capture and the work that is left, which belongs to any thread: it returns the fitted
+    material, and what is to be said of its photos."""
     options = fit_options(settings)
     reading = {
         "size": settings.size or None,
@@ -67,14 +68,12 @@ def prepare(settings):
         folder = absolute(settings.folder)
         if not folder:
             raise ValueError("folder: expected a capture folder or a photo, got nothing")
-
-        def fit_folder(**control):
-            capture = svbrdf_gcn.Capture.open(folder, **reading, max_memory=options["max_memory"], cancel=control["cancel"])
-            return svbrdf_gcn.fit_material(capture, **options, **control)
-
-        path = Path(folder)
-        name = path.parent.name if path.suffix.lower() == ".json" else path.stem if path.is_file() else path.name
-        return name or "Material", fit_folder
+        return opened(folder, reading, options)
+    if settings.source == "FILES":
+        paths = [absolute(file.path) for file in settings.photo_files]
+        if not paths:
+            raise ValueError("photos: expected photos of a printed sheet, or one photo, got none")
+        return opened(paths[0], reading, options) if len(paths) == 1 else acquired(paths, settings, reading, options)
 
     photos = [photo for photo in settings.photos if photo.image is not None]
     if not photos:
@@ -90,9 +89,38 @@ def prepare(settings):
     scene = {"camera_positions": cameras, "light_positions": lights, "patch_size": settings.patch_size, "light_intensity": tuple(settings.light_intensity)}
 
     def fit_images(**control):
-        return svbrdf_gcn.fit_material(pixels, **scene, **reading, **options, **control)
+        return svbrdf_gcn.fit_material(pixels, **scene, **reading, **options, **control), []
 
     return Path(photos[0].image.name).stem, fit_images
+
+
+def opened(path, reading, options):
+    """`prepare` for a capture on disk, or one photo."""
+
+    def fit_capture(**control):
+        capture = svbrdf_gcn.Capture.open(path, **reading, max_memory=options["max_memory"], cancel=control["cancel"])
+        return svbrdf_gcn.fit_material(capture, **options, **control), []
+
+    place = Path(path)
+    name = place.parent.name if place.suffix.lower() == ".json" else place.stem if place.is_file() else place.name
+    return name or "Material", fit_capture
+
+
+def acquired(paths, settings, reading, options):
+    """`prepare` for photos of a printed sheet."""
+    for name in ("views", "transfer", "color_space", "ignore_profiles"):
+        if reading[name]:
+            raise ValueError(f"{name}: is for captures; photos of a sheet are all taken, as their files say: expected nothing, got {reading[name]!r}")
+    sheet = {"frame_width": settings.frame_width} if settings.other_frame else {"window": settings.window}
+    for name in ("printed_bar", "depth", "paper_white"):
+        sheet[name] = getattr(settings, name)
+    sheet["light_offset"] = tuple(settings.light_offset)
+
+    def fit_acquired(**control):
+        acquisition = svbrdf_gcn.acquire(paths, **sheet, size=reading["size"], max_memory=options["max_memory"], **control)
+        return svbrdf_gcn.fit_material(acquisition.capture, **options, **control), acquisition.report["warnings"]
+
+    return Path(paths[0]).parent.name or "Material", fit_acquired
 
 
 class Session:
@@ -122,16 +150,16 @@ class Session:
     def finish(self, context):
         """Take the result in: a material, assigned to the active object if that can hold one. Raises what the job raised."""
         try:
-            fitted = self.job.result()
+            fitted, warnings = self.job.result()
             result = material.build(fitted, self.name)
             lost = material.losses(fitted)
             reasons = [f"{reason['text']}; {reason['advice']}" for reason in fitted.report.get("reasons", [])]
-            self.settings.remarks = "\n".join(reasons + lost)
+            self.settings.remarks = "\n".join(warnings + reasons + lost)
             self.settings.status = f"{result.name}: {fitted.width} x {fitted.height}, {fitted.verdict}"
             active = context.view_layer.objects.active
             if active is not None and active.type == "MESH":
                 active.active_material = result
-            return result, list(fitted.warnings) + lost
+            return result, warnings + list(fitted.warnings) + lost
         except BaseException:
             self.settings.status = ""
             raise
@@ -302,6 +330,32 @@ class SVBRDF_GCN_OT_export_material(bpy.types.Operator):
         return {"FINISHED"}
 
 
+PHOTOS = "*.png;*.jpg;*.jpeg;*.tif;*.tiff;*.exr"
+
+
+class SVBRDF_GCN_OT_choose_photos(bpy.types.Operator, ImportHelper):
+    """Choose photos of a printed sheet, or one photo taken from straight above with the flash"""
+
+    bl_idname = "svbrdf_gcn.choose_photos"
+    bl_label = "Choose Photos"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filter_glob: StringProperty(default=PHOTOS, options={"HIDDEN"})
+    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+
+    def execute(self, context):
+        names = sorted(file.name for file in self.files if file.name)
+        if not names:
+            self.report({"ERROR"}, "photos: expected at least one file, got none")
+            return {"CANCELLED"}
+        chosen = context.scene.svbrdf_gcn.photo_files
+        chosen.clear()
+        for name in names:
+            chosen.add().path = str(Path(self.directory) / name)
+        return {"FINISHED"}
+
+
 class SVBRDF_GCN_OT_add_photos(bpy.types.Operator, ImportHelper):
     """Add photos to the list, from files"""
 
@@ -309,7 +363,7 @@ class SVBRDF_GCN_OT_add_photos(bpy.types.Operator, ImportHelper):
     bl_label = "Add Photos"
     bl_options = {"REGISTER", "UNDO"}
 
-    filter_glob: StringProperty(default="*.png;*.jpg;*.jpeg;*.tif;*.tiff;*.exr", options={"HIDDEN"})
+    filter_glob: StringProperty(default=PHOTOS, options={"HIDDEN"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
 
@@ -369,6 +423,7 @@ CLASSES = (
     SVBRDF_GCN_OT_fit_material,
     SVBRDF_GCN_OT_cancel,
     SVBRDF_GCN_OT_export_material,
+    SVBRDF_GCN_OT_choose_photos,
     SVBRDF_GCN_OT_add_photos,
     SVBRDF_GCN_OT_add_open_image,
     SVBRDF_GCN_OT_remove_photo,

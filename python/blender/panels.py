@@ -23,6 +23,8 @@ def draw_fit(layout, context):
     column.prop(settings, "source", expand=True)
     if settings.source == "FOLDER":
         column.prop(settings, "folder")
+    elif settings.source == "FILES":
+        draw_files(column, settings)
     else:
         draw_photos(column, settings)
     column.prop(settings, "name")
@@ -37,6 +39,19 @@ def draw_fit(layout, context):
         layout.label(text=settings.status, icon="CHECKMARK")
     for line in settings.remarks.splitlines():
         layout.label(text=line, icon="INFO")
+
+
+def draw_files(column, settings):
+    count = len(settings.photo_files)
+    column.operator("svbrdf_gcn.choose_photos", icon="FILE_FOLDER", text=f"{count} Photos of a Sheet" if count > 1 else "Choose Photos")
+    if count == 1:
+        column.prop(settings.photo_files[0], "path")
+    if count < 2:
+        return
+    column.prop(settings, "other_frame")
+    column.prop(settings, "frame_width" if settings.other_frame else "window")
+    for name in ("printed_bar", "depth", "light_offset", "paper_white"):
+        column.prop(settings, name)
 
 
 def draw_photos(column, settings):

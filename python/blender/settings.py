@@ -24,6 +24,12 @@ class SVBRDF_GCN_PG_photo(bpy.types.PropertyGroup):
     light_position: FloatVectorProperty(name="Light", description="Where the light was, as for the camera", default=(0, 0, 1))
 
 
+class SVBRDF_GCN_PG_file(bpy.types.PropertyGroup):
+    """A photo that is read from its file."""
+
+    path: StringProperty(name="Photo", subtype="FILE_PATH")
+
+
 class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
     """Photos, options and the state of the running fit."""
 
@@ -31,10 +37,24 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
         name="Photos",
         description="Where the photos are",
         items=[
+            ("FILES", "Files", "Photos of a printed sheet around the sample; or one photo taken from straight above with the flash"),
             ("FOLDER", "Folder", "A capture folder: photos with their positions; or one photo taken from straight above with the flash"),
             ("IMAGES", "Images", "Images of this file, with positions entered here"),
         ],
+        default="FOLDER",
     )
+    photo_files: CollectionProperty(type=SVBRDF_GCN_PG_file)
+    other_frame: BoolProperty(name="Other Frame", description="The photos show the frame of svbrdf-diff-renderer in place of our sheet", default=False)
+    window: FloatProperty(name="Window (mm)", description="Width of the window of the printed sheet", default=100, min=20, max=1000)
+    frame_width: FloatProperty(
+        name="Frame Width (mm)", description="Width of the frame of svbrdf-diff-renderer, from outer edge to outer edge", default=170, min=20, max=1000
+    )
+    printed_bar: FloatProperty(name="Printed Bar (mm)", description="Length of the sheet's bar of 100 mm as it was printed", default=100, min=50, max=200)
+    depth: FloatProperty(name="Depth (mm)", description="How far the sample lies below the sheet's face; negative above it", default=0)
+    light_offset: FloatVectorProperty(
+        name="Flash (mm)", description="Where the flash is, seen from the lens: to the right and up in the photos", size=2, default=(0, 0)
+    )
+    paper_white: FloatProperty(name="Paper", description="Diffuse albedo of the paper", default=0.8, min=0.01, max=1)
     folder: StringProperty(
         name="Capture", description="Capture folder, its JSON file, or one photo", subtype="FILE_PATH"
     )
@@ -127,7 +147,7 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
     remarks: StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
 
-CLASSES = (SVBRDF_GCN_PG_photo, SVBRDF_GCN_PG_settings)
+CLASSES = (SVBRDF_GCN_PG_photo, SVBRDF_GCN_PG_file, SVBRDF_GCN_PG_settings)
 
 
 def register():

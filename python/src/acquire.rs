@@ -1,20 +1,16 @@
 //! `acquire`, from raw photos to a capture.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use pyo3::prelude::*;
-use svbrdf_gcn::CancelToken;
 use svbrdf_gcn::acquire::{AcquireOptions, Acquisition, Sheet, acquire};
 
 use crate::capture::PyCapture;
-use crate::errors::{argument, exception, interruptible};
-use crate::fit::{PyCancelToken, token};
+use crate::errors::{argument, exception};
+use crate::fit::{PyCancelToken, reported, token};
 use crate::options::{Bytes, Given, Numbers, Paths, bytes, maybe, maybe_count};
-use crate::types::Json;
+use crate::types::{Callback, Json};
 
-/// Millimetres of the sheet's bar as it is meant to be printed.
-const BAR: f64 = 100.0;
 /// Width of the sheet's window in millimetres.
 const WINDOW: f64 = 100.0;
 
@@ -27,26 +23,23 @@ const WINDOW: f64 = 100.0;
 /// <svbrdf_gcn.Acquisition: 9 photos, 0 left out>
 /// >>> material = svbrdf_gcn.fit_material(acquisition.capture)  # doctest: +SKIP
 #[pyclass(frozen, name = "Acquisition", module = "svbrdf_gcn")]
-pub struct PyAcquisition {
-    acquisition: Acquisition,
-    capture: Arc<svbrdf_gcn::Capture>,
-}
+pub struct PyAcquisition(Acquisition);
 
 #[pymethods]
 impl PyAcquisition {
     /// The rectified photos with their positions, in millimetres.
     #[getter]
     fn capture(&self) -> PyCapture {
-        PyCapture(self.capture.clone())
+        PyCapture(self.0.capture.clone())
     }
 
     /// What was found: ``photos``, those ``left_out`` with the reason, ``lenses``, ``warnings``.
     #[getter]
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Json<'py>> {
-        Json::of(py, &self.acquisition.report)
+        Json::of(py, &self.0.report)
     }
 
-    /// Write the capture to a folder: ``capture.json``, the rectified photos as OpenEXR, and for each with saturated pixels a PNG that says which.
+    /// Write the capture to a folder: ``capture.json``, the rectified photos as OpenEXR, for each with saturated pixels a PNG that says which, and ``contact-sheet.png``.
     ///
     /// Parameters
     /// ----------
@@ -66,11 +59,11 @@ impl PyAcquisition {
     /// >>> acquisition.save("leather")  # doctest: +SKIP
     fn save(&self, py: Python<'_>, folder: Given<'_, PathBuf>) -> PyResult<()> {
         let folder = folder.take("folder")?;
-        crate::errors::detached(py, || self.acquisition.save(folder))
+        crate::errors::detached(py, || self.0.save(folder))
     }
 
     fn __repr__(&self) -> String {
-        let (photos, left_out) = (self.capture.len(), self.acquisition.report.left_out.len());
+        let (photos, left_out) = (self.0.capture.len(), self.0.report.left_out.len());
         format!("<svbrdf_gcn.Acquisition: {photos} photos, {left_out} left out>")
     }
 }
@@ -99,6 +92,8 @@ impl PyAcquisition {
 ///     Diffuse albedo of the paper.
 /// max_memory : int or str, optional
 ///     Most bytes the work may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
+/// progress : callable, optional
+///     Called on this thread with a ``Progress`` at most every 50 ms, and at the end. What it raises stops the work and comes out unchanged.
 /// cancel : CancelToken, optional
 ///     Stops the work from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
 ///
@@ -127,7 +122,7 @@ impl PyAcquisition {
 /// True
 #[pyfunction]
 #[pyo3(name = "acquire", signature = (photos, *, window = None, frame_width = None, printed_bar = None, depth = Given::Default(0.0), size = None,
-    light_offset = None, paper_white = Given::Default(0.8), max_memory = None, cancel = None))]
+    light_offset = None, paper_white = Given::Default(0.8), max_memory = None, progress = None, cancel = None))]
 #[allow(clippy::too_many_arguments, reason = "they have names in Python")]
 pub fn py_acquire(
     py: Python<'_>,
@@ -140,6 +135,7 @@ pub fn py_acquire(
     light_offset: Option<Given<'_, Numbers>>,
     paper_white: Given<'_, f64>,
     max_memory: Option<Given<'_, Bytes>>,
+    progress: Option<Given<'_, Callback>>,
     cancel: Option<Given<'_, Bound<'_, PyCancelToken>>>,
 ) -> PyResult<PyAcquisition> {
     let Paths(photos) = photos.take("photos")?;
@@ -151,14 +147,11 @@ pub fn py_acquire(
         (None, Some(width)) => Sheet::tags16(width).map_err(raised)?,
         (window, None) => Sheet::new(window.unwrap_or(WINDOW)).map_err(raised)?,
     };
-    let bar = maybe("printed_bar", printed_bar)?.unwrap_or(BAR);
-    if !(0.5 * BAR..=2.0 * BAR).contains(&bar) {
-        return Err(argument(
-            "printed_bar",
-            format_args!("expected the printed length of 100 mm, 50 to 200, got {bar}"),
-        ));
-    }
-    let mut options = AcquireOptions::new(sheet.scaled(bar / BAR));
+    let sheet = match maybe("printed_bar", printed_bar)? {
+        Some(length) => sheet.with_printed_bar(length).map_err(raised)?,
+        None => sheet,
+    };
+    let mut options = AcquireOptions::new(sheet);
     options.depth = depth.take("depth")?;
     options.size = maybe_count("size", size)?;
     options.paper_white = paper_white.take("paper_white")?;
@@ -167,9 +160,7 @@ pub fn py_acquire(
         options.light_offset = <[f64; 2]>::try_from(offset)
             .map_err(|offset| argument("light_offset", format_args!("expected two numbers, got {}", offset.len())))?;
     }
-    let token: CancelToken = token(cancel)?;
-    options.cancel = token.child();
-    let acquisition = interruptible(py, &options.cancel, || acquire(&photos, &options))?;
-    let capture = Arc::new(acquisition.capture.clone());
-    Ok(PyAcquisition { acquisition, capture })
+    options.cancel = token(cancel)?;
+    let progress = maybe("progress", progress)?;
+    reported(py, progress, |progress| acquire(&photos, &options, progress)).map(PyAcquisition)
 }

@@ -62,7 +62,7 @@ impl PyCancelToken {
     }
 }
 
-/// Where a fit stands; what the ``progress`` callback is given.
+/// Where a fit, or ``acquire``, stands; what the ``progress`` callback is given.
 ///
 /// Examples
 /// --------
@@ -72,7 +72,7 @@ impl PyCancelToken {
 /// ('direct', 5, 5)
 #[pyclass(frozen, get_all, name = "Progress", module = "svbrdf_gcn")]
 pub struct PyProgress {
-    /// The part of the fit that runs: ``encode``, ``latent``, ``adapters``, ``direct`` or ``finish``.
+    /// The part that runs: ``acquire``; of a fit ``encode``, ``latent``, ``adapters``, ``direct`` or ``finish``.
     stage: &'static str,
     /// Steps of the stage that are done.
     step: usize,
@@ -298,12 +298,23 @@ pub fn py_fit_material<'py>(
     let capture = capture(py, &capture_or_photos, setup, reading)?;
     let model = weights.map(|weights| model(py, &weights, &capture)).transpose()?;
 
-    let mut reports = Reports { callback: progress, next: Instant::now(), raised: None };
-    let fit =
-        detached(py, || fit_material(&capture, model.as_deref(), &options, &mut |progress| reports.pass(progress)));
+    PyMaterial::fitted(reported(py, progress, |progress| fit_material(&capture, model.as_deref(), &options, progress))?)
+}
+
+/// Runs work of the core that reports its progress: to `callback`, if there is one, and stopped by signals.
+///
+/// # Errors
+/// As [`detached`]; what the callback or a signal's handler raises.
+pub fn reported<T: Send>(
+    py: Python<'_>,
+    callback: Option<Callback>,
+    work: impl FnOnce(&mut svbrdf_gcn::progress::ProgressFn<'_>) -> svbrdf_gcn::Result<T> + Send,
+) -> PyResult<T> {
+    let mut reports = Reports { callback, next: Instant::now(), raised: None };
+    let result = detached(py, || work(&mut |progress| reports.pass(progress)));
     match reports.raised {
         Some(error) => Err(error),
-        None => PyMaterial::fitted(fit?),
+        None => result,
     }
 }
 
@@ -352,7 +363,7 @@ fn model(py: Python<'_>, weights: &Weights<'_>, capture: &Capture) -> PyResult<A
     }
 }
 
-/// Brings the reports of a fit to Python.
+/// Brings reports of progress to Python.
 struct Reports {
     callback: Option<Callback>,
     next: Instant,

@@ -38,7 +38,7 @@ class Acquisition:
         """
     def save(self, /, folder: str | PathLike[str]) -> None:
         """
-        Write the capture to a folder: ``capture.json``, the rectified photos as OpenEXR, and for each with saturated pixels a PNG that says which.
+        Write the capture to a folder: ``capture.json``, the rectified photos as OpenEXR, for each with saturated pixels a PNG that says which, and ``contact-sheet.png``.
 
         Parameters
         ----------
@@ -700,7 +700,7 @@ class Principled:
 @final
 class Progress:
     """
-    Where a fit stands; what the ``progress`` callback is given.
+    Where a fit, or ``acquire``, stands; what the ``progress`` callback is given.
 
     Examples
     --------
@@ -718,7 +718,7 @@ class Progress:
     @property
     def stage(self, /) -> str:
         """
-        The part of the fit that runs: ``encode``, ``latent``, ``adapters``, ``direct`` or ``finish``.
+        The part that runs: ``acquire``; of a fit ``encode``, ``latent``, ``adapters``, ``direct`` or ``finish``.
         """
     @property
     def step(self, /) -> int:
@@ -731,7 +731,7 @@ class Progress:
         Steps that the stage takes at most.
         """
 
-def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | SupportsIndex | None = None, frame_width: SupportsFloat | SupportsIndex | None = None, printed_bar: SupportsFloat | SupportsIndex | None = None, depth: SupportsFloat | SupportsIndex = ..., size: SupportsIndex | None = None, light_offset: Iterable[SupportsFloat | SupportsIndex] | None = None, paper_white: SupportsFloat | SupportsIndex = ..., max_memory: SupportsIndex | str | None = None, cancel: CancelToken | None = None) -> Acquisition:
+def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | SupportsIndex | None = None, frame_width: SupportsFloat | SupportsIndex | None = None, printed_bar: SupportsFloat | SupportsIndex | None = None, depth: SupportsFloat | SupportsIndex = ..., size: SupportsIndex | None = None, light_offset: Iterable[SupportsFloat | SupportsIndex] | None = None, paper_white: SupportsFloat | SupportsIndex = ..., max_memory: SupportsIndex | str | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Acquisition:
     """
     Make a capture of photos that show the sample in the window of a printed sheet (``svbrdf-gcn sheet``, docs/capturing.md).
 
@@ -757,6 +757,8 @@ def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | Su
         Diffuse albedo of the paper.
     max_memory : int or str, optional
         Most bytes the work may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
+    progress : callable, optional
+        Called on this thread with a ``Progress`` at most every 50 ms, and at the end. What it raises stops the work and comes out unchanged.
     cancel : CancelToken, optional
         Stops the work from any thread. So does Ctrl-C, with ``KeyboardInterrupt``.
 

@@ -97,9 +97,59 @@ def test_images_of_the_file_give_what_the_folder_gives(scene):
     np.testing.assert_allclose(got.roughness, want.roughness, atol=2e-3)
 
 
+def choose(count):
+    phone = ROOT / "samples" / "phone"
+    files = [{"name": f"{i + 1}.jpg"} for i in range(count)]
+    assert bpy.ops.svbrdf_gcn.choose_photos("EXEC_DEFAULT", directory=str(phone), files=files) == {"FINISHED"}
+    bpy.context.scene.svbrdf_gcn.source, bpy.context.scene.svbrdf_gcn.views = "FILES", ""
+    return [phone / f"{i + 1}.jpg" for i in range(count)]
+
+
+def test_photos_of_a_sheet_give_what_python_gives(scene, operators):
+    import svbrdf_gcn
+
+    photos = choose(3)
+    settings = scene.svbrdf_gcn
+    settings.depth, settings.light_offset = 1, (14, 4)
+    modal = Modal(operators, bpy.context)
+    seen = set()
+    while (state := modal.send("TIMER")) == {"PASS_THROUGH"}:
+        seen.add(settings.status.split(" ")[0])
+        time.sleep(0.002)
+    assert state == {"FINISHED"}, modal.reports
+    assert "acquire" in seen, seen
+    capture = svbrdf_gcn.acquire(photos, depth=1, light_offset=(14, 4), size=24).capture
+    want = svbrdf_gcn.fit_material(capture, preset="draft", threads=2)
+    got = maps_of(fitted(scene))
+    np.testing.assert_array_equal(got.diffuse_albedo, want.diffuse_albedo)
+    assert (got.patch_size, got.unit) == (96, "mm")
+    assert bpy.context.view_layer.objects.active.active_material.name == "phone"
+
+
+def test_the_making_of_a_capture_is_stopped(scene, operators):
+    choose(5)
+    modal = Modal(operators, bpy.context)
+    assert modal.send("ESC") == {"PASS_THROUGH"}
+    assert modal.until_done() == {"CANCELLED"} and modal.reports[-1] == ("INFO", "Fit cancelled")
+    settings = scene.svbrdf_gcn
+    settings.other_frame = True
+    with pytest.raises(RuntimeError, match="0 of the sheet's 16 tags"):
+        run()
+    settings.views = "0"
+    with pytest.raises(RuntimeError, match="views: is for captures"):
+        run()
+
+
+def test_one_photo_needs_no_sheet(scene):
+    choose(1)
+    assert run() == {"FINISHED"}
+    assert fitted(scene) is not None and bpy.context.view_layer.objects.active.active_material.name == "1"
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"source": "FILES"}, "photos: expected photos of a printed sheet"),
         ({"folder": ""}, "folder: expected"),
         ({"folder": "/nowhere/at/all"}, "/nowhere/at/all"),
         ({"views": "0,x"}, "views: expected"),

@@ -500,14 +500,16 @@ typedef struct {
     pthread_t thread;
     int same_thread, sane;
     const svbrdf_gcn_cancel_token *cancel;
+    int32_t stage;
+    size_t steps;
 } Watch;
 
 static int32_t watch(void *user_data, const svbrdf_gcn_progress *progress) {
     Watch *state = user_data;
     state->calls++;
     state->same_thread &= pthread_equal(state->thread, pthread_self());
-    state->sane &= progress->struct_size >= sizeof *progress && progress->stage == SVBRDF_GCN_STAGE_DIRECT &&
-                   progress->steps == (size_t)steps && progress->step <= progress->steps && progress->step >= state->last_step;
+    state->sane &= progress->struct_size >= sizeof *progress && progress->stage == state->stage &&
+                   progress->steps == state->steps && progress->step <= progress->steps && progress->step >= state->last_step;
     state->last_step = progress->step;
     if (progress->step < state->stop_at) {
         return SVBRDF_GCN_CONTINUE;
@@ -523,6 +525,8 @@ static svbrdf_gcn_status watched(const svbrdf_gcn_capture *capture, Watch *state
     svbrdf_gcn_options options = draft();
     state->thread = pthread_self();
     state->same_thread = state->sane = 1;
+    state->stage = SVBRDF_GCN_STAGE_DIRECT;
+    state->steps = (size_t)steps;
     options.progress = watch;
     options.progress_user_data = state;
     options.cancel = token;
@@ -629,6 +633,132 @@ static void cancelling(const svbrdf_gcn_capture *capture, const svbrdf_gcn_mater
     svbrdf_gcn_cancel_token_destroy(token);
     svbrdf_gcn_cancel_token_destroy(other);
     svbrdf_gcn_material_destroy(material);
+}
+
+/* Photos of a printed sheet; under valgrind, which takes minutes for one, only what is refused. */
+static void acquiring(void) {
+    char paths[5][1024], text[1024];
+    const char *photos[5];
+    size_t count = 5, i;
+    svbrdf_gcn_acquire_options options;
+    svbrdf_gcn_options fit_options = draft();
+    svbrdf_gcn_capture *capture = NULL, *loaded = NULL, *none = NULL;
+    svbrdf_gcn_material *material = NULL;
+    svbrdf_gcn_cancel_token *token = NULL;
+    svbrdf_gcn_shot shot, saved;
+    Watch state = {0};
+    for (i = 0; i < count; i++) {
+        snprintf(text, sizeof text, "phone/%d.jpg", (int)i + 1);
+        photos[i] = path_of(paths[i], samples, text);
+    }
+    OK(svbrdf_gcn_acquire_options_init(&options, sizeof options));
+    CHECK(options.window == 100.0 && options.frame_width == 0.0 && options.printed_bar == 100.0 && options.depth == 0.0 && options.paper_white == 0.8);
+    CHECK(options.size == -1 && options.max_memory == -1 && options.progress == NULL && options.cancel == NULL);
+    options.size = 64;
+    options.depth = 1.0;
+
+    FAILS(svbrdf_gcn_acquire(NULL, 1, &options, &none), SVBRDF_GCN_ERR_NULL, "photo_paths_utf8");
+    FAILS(svbrdf_gcn_acquire(photos, count, &options, NULL), SVBRDF_GCN_ERR_NULL, "out");
+    FAILS(svbrdf_gcn_acquire(photos, 0, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "got 0");
+    FAILS(svbrdf_gcn_acquire(photos, (size_t)-1, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "photo_count");
+    options.struct_size = 8;
+    FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_ERR_STRUCT_SIZE, "svbrdf_gcn_acquire_options_init");
+    options.struct_size = sizeof options;
+    options.printed_bar = 9.8;
+    FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "printed_bar: expected the printed length of 100 mm");
+    options.printed_bar = 100.0;
+    options.frame_width = 5.0;
+    FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "frame_width");
+    options.frame_width = 0.0;
+    options.size = -2;
+    FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "size");
+    options.size = 64;
+    options.max_memory = 1000;
+    FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_ERR_OUT_OF_MEMORY, "allowed are 1000");
+    options.max_memory = -1;
+    if (quick) {
+        photos[0] = path_of(paths[0], samples, "tiles/00.png");
+        FAILS(svbrdf_gcn_acquire(photos, 1, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "none can be used");
+        CHECK(none == NULL);
+        return;
+    }
+
+    /* Stopped by the callback at the start, in the middle and at the end; by a token. */
+    options.progress = watch;
+    options.progress_user_data = &state;
+    state.thread = pthread_self();
+    state.stage = SVBRDF_GCN_STAGE_ACQUIRE;
+    state.steps = 2 * count;
+    state.same_thread = state.sane = 1;
+    for (i = 0; i < 3; i++) {
+        state.stop_at = count * i;
+        state.returned = SVBRDF_GCN_STOP;
+        state.last_step = 0;
+        FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_CANCELLED, "cancelled");
+        CHECK(state.last_step >= state.stop_at);
+    }
+    state.stop_at = state.last_step = 0;
+    state.returned = 2;
+    FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "got 2");
+    state.returned = SVBRDF_GCN_CONTINUE;
+    OK(svbrdf_gcn_cancel_token_create(&token));
+    OK(svbrdf_gcn_cancel_token_cancel(token));
+    options.cancel = token;
+    FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_CANCELLED, "cancelled");
+    options.cancel = NULL;
+    svbrdf_gcn_cancel_token_destroy(token);
+    CHECK(none == NULL);
+
+    state.last_step = 0;
+    OK(svbrdf_gcn_acquire(photos, count, &options, &capture));
+    CHECK(state.last_step == 2 * count && state.same_thread && state.sane);
+    CHECK(svbrdf_gcn_capture_photo_count(capture) == count && svbrdf_gcn_capture_width(capture) == 64);
+    CHECK(strstr(svbrdf_gcn_capture_report_json(capture), "\"photo\":\"1.jpg\"") != NULL);
+    FAILS(svbrdf_gcn_capture_add_photo(capture, NULL, NULL), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "takes no more photos");
+    OK(svbrdf_gcn_capture_save(capture, path_of(text, out_folder, "acquired")));
+    OK(svbrdf_gcn_capture_open(text, NULL, &loaded));
+    FAILS(svbrdf_gcn_capture_save(loaded, text), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "svbrdf_gcn_acquire made");
+    CHECK(strcmp(svbrdf_gcn_capture_report_json(loaded), "null") == 0);
+    OK(svbrdf_gcn_shot_init(&shot, sizeof shot));
+    OK(svbrdf_gcn_shot_init(&saved, sizeof saved));
+    for (i = 0; i < count; i++) {
+        OK(svbrdf_gcn_capture_shot(capture, i, &shot));
+        OK(svbrdf_gcn_capture_shot(loaded, i, &saved));
+        CHECK(shot.camera[2] > 150 && shot.camera[2] < 350);
+        CHECK(memcmp(&shot.camera, &saved.camera, sizeof shot.camera) == 0);
+    }
+    fit_options.direct_steps = 3;
+    OK(svbrdf_gcn_fit_material(NULL, capture, &fit_options, &material));
+    svbrdf_gcn_material_destroy(material);
+    svbrdf_gcn_capture_destroy(capture);
+    svbrdf_gcn_capture_destroy(loaded);
+    CHECK(svbrdf_gcn_capture_report_json(NULL) == NULL);
+    FAILS(svbrdf_gcn_capture_save(NULL, "x"), SVBRDF_GCN_ERR_NULL, "capture");
+}
+
+/* The light of one photo alone. */
+static void stated_light(void) {
+    char path[1024];
+    svbrdf_gcn_capture *capture = NULL;
+    svbrdf_gcn_capture_options options;
+    svbrdf_gcn_shot shot;
+    OK(svbrdf_gcn_capture_options_init(&options, sizeof options));
+    OK(svbrdf_gcn_shot_init(&shot, sizeof shot));
+    options.size = size_pixels;
+    options.light_intensity[0] = 17;
+    options.light_intensity[1] = 18;
+    options.light_intensity[2] = 19;
+    OK(svbrdf_gcn_capture_open(path_of(path, samples, "tiles/00.png"), &options, &capture));
+    OK(svbrdf_gcn_capture_shot(capture, 0, &shot));
+    CHECK(shot.light_intensity[0] == 17 && shot.light_intensity[1] == 18 && shot.light_intensity[2] == 19);
+    svbrdf_gcn_capture_destroy(capture);
+    capture = NULL;
+    options.transfer = SVBRDF_GCN_TRANSFER_LINEAR;
+    FAILS(svbrdf_gcn_capture_create(1.0, &options, &capture), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "light_intensity");
+    options.transfer = SVBRDF_GCN_TRANSFER_FROM_CAPTURE;
+    options.light_intensity[1] = -1;
+    FAILS(svbrdf_gcn_capture_open(path, &options, &capture), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "light_intensity");
+    CHECK(capture == NULL);
 }
 
 typedef struct {
@@ -816,7 +946,7 @@ static void bad_photos(const svbrdf_gcn_capture *from_disk) {
     view.height = 3;
     FAILS(svbrdf_gcn_capture_add_photo(capture, &view, &good_shot), SVBRDF_GCN_ERR_SHAPE, "4 x 3");
     CHECK(svbrdf_gcn_capture_photo_count(capture) == 1 && svbrdf_gcn_capture_height(capture) == 4);
-    FAILS(svbrdf_gcn_capture_add_photo((svbrdf_gcn_capture *)(uintptr_t)from_disk, &good, &good_shot), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "disk");
+    FAILS(svbrdf_gcn_capture_add_photo((svbrdf_gcn_capture *)(uintptr_t)from_disk, &good, &good_shot), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "files");
 
     bad = host_capture(SVBRDF_GCN_TRANSFER_LINEAR, 2.0);
     view = pixels_of(not_finite, SVBRDF_GCN_PIXEL_FLOAT, 1, 1, 3);
@@ -1018,6 +1148,8 @@ int main(int argc, char **argv) {
     bad_photos(capture);
     known_material(lambert);
     cancelling(capture, material);
+    acquiring();
+    stated_light();
     two_at_once(capture, material);
     svbrdf_gcn_capture_destroy(capture);
     svbrdf_gcn_capture_destroy(lambert);

@@ -217,6 +217,37 @@ int main(int argc, char **argv) try {
         CHECK(throws(SVBRDF_GCN_CANCELLED, "cancelled", [&] { Capture::open(samples + "/tiles", stopped); }));
     }
 
+    // A photo of a printed sheet, and one photo alone under stated light. Under valgrind, which takes minutes for the first, one that shows no sheet.
+    {
+        const std::vector<std::string> photos{samples + (quick ? "/tiles/00.png" : "/phone/1.jpg")};
+        AcquireOptions acquiring;
+        acquiring.depth = 1.0;
+        acquiring.size = 64;
+        if (!quick) {
+            std::size_t reported = 0;
+            const auto acquisition = acquire(photos, acquiring, [&](const Progress &progress) {
+                CHECK(std::this_thread::get_id() == caller && progress.stage == Stage::Acquire && !progress.loss && progress.steps == 2);
+                reported = progress.step;
+                return Step::Continue;
+            });
+            CHECK(reported == 2 && acquisition.capture.size() == 1 && acquisition.capture.height() == 64);
+            CHECK(acquisition.report_json.find("\"left_out\":[]") != std::string::npos);
+            CHECK(throws(SVBRDF_GCN_ERR_IO, "/dev/null", [&] { acquisition.save("/dev/null/x"); }));
+        }
+        try {
+            acquire(photos, acquiring, [](const Progress &) -> Step { throw HostFailure{5}; });
+            CHECK(false);
+        } catch (const HostFailure &failure) {
+            CHECK(failure.number == 5);
+        }
+        acquiring.frame_width = 170.0;
+        CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "0 of the sheet's 16 tags", [&] { acquire(photos, acquiring); }));
+        CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "photos", [] { acquire({}); }));
+        CaptureOptions lit;
+        lit.light_intensity = Vec3{17, 18, 19};
+        CHECK(Capture::open(samples + "/tiles/00.png", lit).shot(0).light_intensity == Vec3{17, 18, 19});
+    }
+
     // Errors.
     CHECK(throws(SVBRDF_GCN_ERR_IO, "no/such/capture", [] { Capture::open("no/such/capture"); }));
     CHECK(throws(SVBRDF_GCN_ERR_IO, "no/such/material", [] { Material::load("no/such/material"); }));

@@ -112,7 +112,7 @@ def test_arguments_of_acquire_are_named(tmp_path):
         ({"photos": [1]}, svbrdf_gcn.FormatError, "photos: expected paths"),
         ({"photos": [], "window": 1}, svbrdf_gcn.ArgumentError, "window: expected 20 mm to 1000 mm, got 1"),
         ({"photos": [], "window": 90, "frame_width": 90}, svbrdf_gcn.ArgumentError, "frame_width: is the other sheet's"),
-        ({"photos": [], "printed_bar": 9.8}, svbrdf_gcn.ArgumentError, "printed_bar: expected the printed length of 100 mm, 50 to 200, got 9.8"),
+        ({"photos": [], "printed_bar": 9.8}, svbrdf_gcn.ArgumentError, "printed_bar: expected the printed length of 100 mm, 50 mm to 200 mm, got 9.8 mm"),
         ({"photos": [], "light_offset": [1, 2, 3]}, svbrdf_gcn.ArgumentError, "light_offset: expected two numbers, got 3"),
         ({"photos": [], "paper_white": 2}, svbrdf_gcn.ArgumentError, "paper_white: expected an albedo above 0 and at most 1, got 2"),
         ({"photos": [tmp_path / "none.png"]}, FileNotFoundError, "none.png"),

@@ -4,8 +4,11 @@
 //! straight above) and all of one lens through `light` (how bright the light was, from the paper).
 
 mod camera;
+mod contact_sheet;
 mod geometry;
 mod light;
+mod missing;
+mod picture;
 mod print;
 mod rectify;
 mod report;
@@ -13,10 +16,16 @@ mod save;
 mod sheet;
 mod tags;
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::time::Duration;
 
 use rayon::prelude::*;
 
+pub use missing::Missing;
 pub use print::Paper;
 pub use report::{LeftOut, LensReport, PhotoReport, Report};
 #[cfg(feature = "cli")]
@@ -29,17 +38,21 @@ use crate::color::Transfer;
 use crate::error::{Error, Result};
 use crate::image::Image;
 use crate::io::{CameraData, Stored, demand, read_stored};
+use crate::progress::{Progress, ProgressFn, Stage};
 use crate::shot::Shot;
 use crate::unit::Unit;
 use crate::{memory, pool};
 
 use camera::{Calibration, Lens, Place, Points, calibrate};
+use contact_sheet::{Marks, Shown, Thumbnail, contact_sheet};
 use light::PLACES_MIN;
 use rectify::{Part, View, decoding, grey, pixels_across, rectified};
 use tags::{Detection, Found, Line, detect};
 
 /// The fewest tags that tell where a photo was taken from.
 const TAGS_MIN: usize = 4;
+/// Progress is reported this often.
+const REPORT_EVERY: Duration = Duration::from_millis(50);
 /// Photos that are worked on at a time, at most.
 const AT_A_TIME: usize = 4;
 /// Bytes of a pixel of a rectified photo, and of its files before they are written.
@@ -111,13 +124,17 @@ impl AcquireOptions {
 #[non_exhaustive]
 pub struct Acquisition {
     /// The rectified photos with their positions, in millimetres.
-    pub capture: Capture,
+    pub capture: Arc<Capture>,
     /// What was found in every photo.
     pub report: Report,
+    /// A picture of it, in values for the screen: the photos with tags and sample drawn in, the rectified patches, where cameras stood, what is missing.
+    pub contact_sheet: Image,
 }
 
 /// A photo in which the sheet was found.
 struct Sighting {
+    /// Its place among the photos that were given.
+    index: usize,
     path: PathBuf,
     size: [usize; 2],
     camera: CameraData,
@@ -135,7 +152,8 @@ struct Placed {
 
 /// Makes a capture of photos that show the sample in the window of a printed sheet ([`Sheet`]).
 ///
-/// Photos that cannot be used are left out, and named in the report with the reason.
+/// Photos that cannot be used are left out, and named in the report with the reason. `progress` is called on the calling thread some twenty times a second and at the
+/// end, of a stage [`Stage::Acquire`] with two steps for each photo.
 ///
 /// # Errors
 /// [`Error::InvalidArgument`] for options out of range, and if no photo can be used; [`Error::Io`] and [`Error::UnsupportedFormat`] for files that cannot be read;
@@ -143,33 +161,74 @@ struct Placed {
 ///
 /// # Example
 /// ```no_run
+/// use std::ops::ControlFlow;
+///
 /// use svbrdf_gcn::acquire::{AcquireOptions, Sheet, acquire};
 ///
 /// let photos: Vec<std::path::PathBuf> = vec!["1.jpg".into(), "2.jpg".into(), "3.jpg".into()];
-/// let acquisition = acquire(&photos, &AcquireOptions::new(Sheet::new(100.0)?))?;
+/// let options = AcquireOptions::new(Sheet::new(100.0)?);
+/// let acquisition = acquire(&photos, &options, &mut |progress| {
+///     println!("{} of {}", progress.step, progress.steps);
+///     ControlFlow::Continue(())
+/// })?;
 /// acquisition.save("leather")?;
 /// # Ok::<(), svbrdf_gcn::Error>(())
 /// ```
-pub fn acquire(photos: &[PathBuf], options: &AcquireOptions) -> Result<Acquisition> {
+pub fn acquire(photos: &[PathBuf], options: &AcquireOptions, progress: &mut ProgressFn<'_>) -> Result<Acquisition> {
     options.check()?;
     if photos.is_empty() || photos.len() > MAX_PHOTOS {
         return Err(Error::invalid("photos", format!("expected 1 to {MAX_PHOTOS}, got {}", photos.len())));
     }
-    pool::inside(|| {
-        let count = plan(photos, options)?;
-        let mut left_out = Vec::new();
-        let mut sightings = Vec::new();
-        for sighting in at_a_time(photos, count, |path| sighting(path, options))? {
-            match sighting {
-                Ok(sighting) => sightings.push(sighting),
-                Err(photo) => left_out.push(photo),
+    // What the callback stops is this run alone.
+    let options = AcquireOptions { cancel: options.cancel.child(), ..options.clone() };
+    let done = AtomicUsize::new(0);
+    let steps = 2 * photos.len();
+    let mut report = |step: usize| {
+        options.cancel.check()?;
+        if progress(&Progress { stage: Stage::Acquire, step, steps, loss: None }) == ControlFlow::Break(()) {
+            options.cancel.cancel();
+        }
+        options.cancel.check()
+    };
+    report(0)?;
+    let acquisition = watched(|| of_photos(photos, &options, &done), || drop(report(done.load(Ordering::Relaxed))))?;
+    report(steps)?;
+    Ok(acquisition)
+}
+
+/// Runs `work` on threads of our own while this one looks at it, every [`REPORT_EVERY`].
+fn watched<T: Send>(work: impl FnOnce() -> Result<T> + Send, mut look: impl FnMut()) -> Result<T> {
+    let (sender, receiver) = sync_channel(1);
+    pool::pool(None)?.in_place_scope(|scope| {
+        scope.spawn(move |_| drop(sender.send(work())));
+        loop {
+            match receiver.recv_timeout(REPORT_EVERY) {
+                Ok(result) => return result,
+                Err(RecvTimeoutError::Timeout) => look(),
+                // The work has panicked, and so does the scope.
+                Err(RecvTimeoutError::Disconnected) => return Err(Error::Cancelled),
             }
         }
-        let (lenses, placed) = place(sightings, options, &mut left_out);
-        let size = output_size(&lenses, &placed, options);
-        let prepared = at_a_time(&placed, count, |photo| prepare(photo, &lenses, size, options))?;
-        assemble(prepared, &lenses, size, options, left_out)
     })
+}
+
+/// [`acquire`], counting what is done: every photo twice.
+fn of_photos(photos: &[PathBuf], options: &AcquireOptions, done: &AtomicUsize) -> Result<Acquisition> {
+    let count = plan(photos, options)?;
+    let mut left_out = Vec::new();
+    let (mut sightings, mut thumbnails) = (Vec::new(), Vec::new());
+    let numbered: Vec<(usize, &PathBuf)> = photos.iter().enumerate().collect();
+    for (thumbnail, sighting) in at_a_time(&numbered, count, done, |&(index, path)| sighting(index, path, options))? {
+        thumbnails.push(thumbnail);
+        match sighting {
+            Ok(sighting) => sightings.push(sighting),
+            Err(photo) => left_out.push(photo),
+        }
+    }
+    let (lenses, placed) = place(sightings, options, &mut left_out);
+    let size = output_size(&lenses, &placed, options);
+    let prepared = at_a_time(&placed, count, done, |photo| prepare(photo, &lenses, size, options))?;
+    assemble(prepared, &lenses, size, options, left_out, thumbnails)
 }
 
 /// How many photos are worked on at a time within the budget.
@@ -178,7 +237,8 @@ pub fn acquire(photos: &[PathBuf], options: &AcquireOptions) -> Result<Acquisiti
 /// [`Error::OutOfMemory`] if there is not the memory for one.
 fn plan(photos: &[PathBuf], options: &AcquireOptions) -> Result<usize> {
     let side = options.size.unwrap_or(SIZE) as u64;
-    let kept = KEPT_BYTES * side * side * photos.len() as u64;
+    let shown = photos.len().min(contact_sheet::SHOWN) as u64;
+    let kept = KEPT_BYTES * side * side * photos.len() as u64 + 2 * contact_sheet::SHOWN_BYTES * shown;
     // Of what is no photo the reading says what is wrong.
     let demands = photos.iter().filter_map(|path| demand(path, &options.cancel).ok());
     let one =
@@ -190,16 +250,24 @@ fn plan(photos: &[PathBuf], options: &AcquireOptions) -> Result<usize> {
     Ok((1..=AT_A_TIME).rev().find(|&count| needed(count) <= allowed).unwrap_or(1))
 }
 
-/// `work` on `count` of the items at a time; in their order.
+/// `work` on `count` of the items at a time, counted in `done`; in their order.
 fn at_a_time<'a, T: Sync, U: Send>(
     items: &'a [T],
     count: usize,
+    done: &AtomicUsize,
     work: impl Fn(&'a T) -> Result<U> + Sync,
 ) -> Result<Vec<U>> {
     let mut all = Vec::with_capacity(items.len());
     for some in items.chunks(count) {
-        let done: Vec<Result<U>> = some.par_iter().map(&work).collect();
-        for item in done {
+        let made: Vec<Result<U>> = some
+            .par_iter()
+            .map(|item| {
+                let made = work(item);
+                done.fetch_add(1, Ordering::Relaxed);
+                made
+            })
+            .collect();
+        for item in made {
             all.push(item?);
         }
     }
@@ -210,11 +278,15 @@ fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
+/// A photo made small, if it is to be shown, and what was found in it.
+type Look = (Option<Thumbnail>, std::result::Result<Sighting, LeftOut>);
+
 /// Looks for the sheet in a photo.
-fn sighting(path: &Path, options: &AcquireOptions) -> Result<std::result::Result<Sighting, LeftOut>> {
+fn sighting(index: usize, path: &Path, options: &AcquireOptions) -> Result<Look> {
     let name = name_of(path);
     let stored = read_stored(path, &options.cancel)?;
     let (decoding, note) = decoding(&name, &stored)?;
+    let thumbnail = (index < contact_sheet::SHOWN).then(|| Thumbnail::new(&stored, &decoding)).transpose()?;
     let Detection { tags, doubled, mirrored } =
         detect(&grey(&stored, &decoding, &options.cancel)?, &options.sheet, &options.cancel)?;
     let all = options.sheet.tags.len();
@@ -229,7 +301,7 @@ fn sighting(path: &Path, options: &AcquireOptions) -> Result<std::result::Result
                 tags.len()
             )
         };
-        return Ok(Err(LeftOut { photo: name, reason }));
+        return Ok((thumbnail, Err(LeftOut { photo: name, reason, index })));
     }
     let mut notes = stored.notes.clone();
     notes.extend(note);
@@ -240,7 +312,8 @@ fn sighting(path: &Path, options: &AcquireOptions) -> Result<std::result::Result
         notes.push("its EXIF data say that the flash did not fire".to_owned());
     }
     let size = [stored.width, stored.height];
-    Ok(Ok(Sighting { path: path.to_owned(), size, camera: stored.camera, tags, notes }))
+    let sighting = Sighting { index, path: path.to_owned(), size, camera: stored.camera, tags, notes };
+    Ok((thumbnail, Ok(sighting)))
 }
 
 /// The lenses that photos were taken with, and where each stood. Photos that do not agree with the others of their lens are left out.
@@ -309,7 +382,7 @@ fn calibrated(group: &mut Vec<Sighting>, options: &AcquireOptions, left_out: &mu
             "its tags are {:.1} pixels from where they should be, those of other photos {usual:.1}: a bent sheet, another zoom, or motion",
             calibration.errors[worst]
         );
-        left_out.push(LeftOut { photo: name_of(&sighting.path), reason });
+        left_out.push(LeftOut { photo: name_of(&sighting.path), reason, index: sighting.index });
     }
 }
 
@@ -425,21 +498,22 @@ fn assemble(
     size: usize,
     options: &AcquireOptions,
     mut left_out: Vec<LeftOut>,
+    mut thumbnails: Vec<Option<Thumbnail>>,
 ) -> Result<Acquisition> {
     let mut lenses = lenses.to_vec();
     let mut usable: Vec<(Prepared<'_>, Image, Vec<u8>)> = Vec::new();
     for mut photo in prepared {
-        let name = name_of(&photo.photo.sighting.path);
+        let (name, index) = (name_of(&photo.photo.sighting.path), photo.photo.sighting.index);
         let patch = std::mem::replace(&mut photo.patch, Err(String::new()));
         match patch {
-            Err(reason) => left_out.push(LeftOut { photo: name, reason }),
+            Err(reason) => left_out.push(LeftOut { photo: name, reason, index }),
             Ok(_) if photo.paper.len() < PLACES_MIN => {
                 let reason = format!(
                     "the paper is overexposed or black but in {} of {} places, {PLACES_MIN} are needed: expose it right, the flash on",
                     photo.paper.len(),
                     options.sheet.tags.len()
                 );
-                left_out.push(LeftOut { photo: name, reason });
+                left_out.push(LeftOut { photo: name, reason, index });
             }
             Ok((image, saturated)) => usable.push((photo, image, saturated)),
         }
@@ -456,7 +530,7 @@ fn assemble(
             ),
         ));
     }
-    let (mut photos, mut reports, mut warnings) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut photos, mut reports, mut warnings, mut shown) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let mut intensities = vec![([0.0; 3], 0.0); usable.len()];
     for (index, lens) in lenses.iter_mut().enumerate() {
         let own: Vec<usize> = (0..usable.len()).filter(|&i| usable[i].0.photo.lens == index).collect();
@@ -477,7 +551,7 @@ fn assemble(
         let up = |point: [f64; 3]| [point[0], point[1], point[2] + options.depth];
         let shot = Shot { camera: up(place.position()), light: up(photo.light), light_intensity };
         if let Some((field, reason)) = shot.misplaced() {
-            left_out.push(LeftOut { photo: file, reason: format!("{field} {reason}") });
+            left_out.push(LeftOut { photo: file, reason: format!("{field} {reason}"), index: sighting.index });
             continue;
         }
         warnings.extend(sighting.notes.iter().map(|note| format!("{file}: {note}")));
@@ -505,11 +579,26 @@ fn assemble(
             saturated: full as f64 / saturated.len() as f64,
         });
         photos.push(Photo { name: save::photo_name(photos.len()), shot, image, saturated });
+        let lens = lenses[*lens].lens();
+        let marks = marks(sighting, &View { lens: &lens, place, size: sighting.size }, options);
+        shown.push(Shown { thumbnail: thumbnails[sighting.index].take(), marks });
     }
     warnings.extend(left_out.iter().map(|out| format!("{}: left out: {}", out.photo, out.reason)));
     let capture = Capture::new(photos, options.sheet.patch, Transfer::Linear)?.with_unit(Unit::new("mm"));
-    let report = Report { photos: reports, left_out, lenses, size, warnings };
-    Ok(Acquisition { capture, report })
+    let shots: Vec<Shot> = capture.photos().iter().map(|photo| photo.shot).collect();
+    let missing = missing::missing(&shots, options.sheet.patch);
+    let not_used: Vec<Option<Thumbnail>> = left_out.iter().map(|out| thumbnails[out.index].take()).collect();
+    let report = Report { photos: reports, left_out, lenses, size, missing, warnings };
+    let contact_sheet = contact_sheet(&report, capture.photos(), &shown, &not_used, &options.sheet)?;
+    Ok(Acquisition { capture: Arc::new(capture), report, contact_sheet })
+}
+
+/// Where tags and patch are in a photo.
+fn marks(sighting: &Sighting, view: &View<'_>, options: &AcquireOptions) -> Marks {
+    let half = options.sheet.patch / 2.0;
+    let corners = [[-half, half], [half, half], [half, -half], [-half, -half]];
+    let patch = corners.map(|[x, y]| view.pixel([x, y, -options.depth])).to_vec();
+    Marks { tags: sighting.tags.iter().map(|tag| tag.corners).collect(), patch }
 }
 
 /// Takes out of a rectified photo what lens and flash lose towards the edges.

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::sheet::{CELLS, Sheet};
+use super::sheet::{BAR, CELLS, Sheet};
 use crate::error::{Error, Result};
 
 /// A format of paper.
@@ -42,8 +42,6 @@ const MARGIN: f64 = 10.0;
 /// From the ring of tags to the row of greys below it, and what everything below the ring needs.
 const BELOW: f64 = 5.0;
 const FOOT: f64 = 88.0;
-/// The bar that tells whether a print is true to scale.
-const BAR: f64 = 100.0;
 /// Side of the grey patches, and their greys as shares of white.
 const PATCH: f64 = 9.0;
 const GREYS: [f64; 8] = [0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0];

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::camera::Lens;
+use super::missing::Missing;
 
 /// How photos became a capture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -16,6 +17,8 @@ pub struct Report {
     pub lenses: Vec<LensReport>,
     /// Side of the rectified photos in pixels.
     pub size: usize,
+    /// What they do not show of the sample.
+    pub missing: Vec<Missing>,
     /// What a user should know.
     pub warnings: Vec<String>,
 }
@@ -36,7 +39,7 @@ pub struct PhotoReport {
     pub tag_error: f64,
     /// Standard deviation of its blur, in pixels of the rectified photo.
     pub blur: f64,
-    /// Root mean squared deviation of its paper from what position and light explain, as a share.
+    /// Third quartile of its paper's deviations from what position and light explain, as a share.
     pub paper_error: f64,
     /// Share of the rectified pixels that are saturated.
     pub saturated: f64,
@@ -50,6 +53,9 @@ pub struct LeftOut {
     pub photo: String,
     /// Why.
     pub reason: String,
+    /// Its place among the photos that were given.
+    #[serde(skip)]
+    pub(super) index: usize,
 }
 
 /// A lens as its photos have it.

@@ -19,12 +19,16 @@ pub(super) fn photo_name(index: usize) -> String {
     format!("{index:02}.exr")
 }
 
+/// The picture of what was found.
+pub const CONTACT_SHEET_PNG: &str = "contact-sheet.png";
+
 fn mask_name(index: usize) -> String {
     format!("{index:02}-saturated.png")
 }
 
 impl Acquisition {
-    /// Writes the capture to `folder`: `capture.json`, the rectified photos as OpenEXR in half precision, and for each with saturated pixels a PNG that says which.
+    /// Writes the capture to `folder`: `capture.json`, the rectified photos as OpenEXR in half precision, for each with saturated pixels a PNG that says which, and
+    /// `contact-sheet.png`.
     ///
     /// # Errors
     /// [`Error::InvalidArgument`] if that would replace files that are not ours; [`Error::Io`].
@@ -51,6 +55,8 @@ impl Acquisition {
             }
             photos.push(entry);
         }
+        let sheet = png8(&folder.join(CONTACT_SHEET_PNG), &self.contact_sheet, crate::Transfer::Linear)?;
+        files.push((CONTACT_SHEET_PNG.to_owned(), sheet));
         let value = json!({
             "format": Description::Capture.format(),
             "version": 2,
@@ -92,6 +98,6 @@ pub(crate) fn check_folder(folder: &Path) -> Result<()> {
     }
     let own: BTreeSet<String> = described.map(|value| Description::Capture.names(&value)).unwrap_or_default();
     let likely: Vec<String> = (0..own.len().max(1)).flat_map(|i| [photo_name(i), mask_name(i)]).collect();
-    let names = likely.iter().map(String::as_str).chain([Description::Capture.file()]);
+    let names = likely.iter().map(String::as_str).chain([Description::Capture.file(), CONTACT_SHEET_PNG]);
     ours::check(folder, Description::Capture, names)
 }

@@ -59,6 +59,10 @@ const OWN_GAP: f64 = 0.07;
 /// Share of the window that is left out along each side of our own sheets: edges that were cut by hand, and their shadow.
 const OWN_MARGIN: f64 = 0.02;
 
+/// The bar that tells whether a print is true to scale, in millimetres, and how long it may come out.
+pub const BAR: f64 = 100.0;
+const PRINTED_BAR: std::ops::RangeInclusive<f64> = 50.0..=200.0;
+
 /// The smallest and the largest window, in millimetres.
 const WINDOW: std::ops::RangeInclusive<f64> = 20.0..=1000.0;
 
@@ -121,15 +125,20 @@ impl Sheet {
         Ok(Self { tags: ring(0, tag, 2.0 * tag), window, patch: window - 0.5 * tag })
     }
 
-    /// The sheet as printed `factor` times its size.
-    #[must_use]
-    pub fn scaled(self, factor: f64) -> Self {
-        let scale = |tag: Tag| Tag { corners: tag.corners.map(|corner| corner.map(|x| x * factor)), ..tag };
-        Self {
-            tags: self.tags.into_iter().map(scale).collect(),
-            window: self.window * factor,
-            patch: self.patch * factor,
+    /// The sheet as a printer scaled it: the bar of 100 mm came out `length` millimetres long.
+    ///
+    /// # Errors
+    /// [`Error::InvalidArgument`] for a bar below 50 mm or above 200 mm.
+    pub fn with_printed_bar(self, length: f64) -> Result<Self> {
+        if !PRINTED_BAR.contains(&length) {
+            let (low, high) = (PRINTED_BAR.start(), PRINTED_BAR.end());
+            let reason = format!("expected the printed length of {BAR} mm, {low} mm to {high} mm, got {length} mm");
+            return Err(Error::invalid("printed_bar", reason));
         }
+        let factor = length / BAR;
+        let scale = |tag: Tag| Tag { corners: tag.corners.map(|corner| corner.map(|x| x * factor)), ..tag };
+        let tags = self.tags.into_iter().map(scale).collect();
+        Ok(Self { tags, window: self.window * factor, patch: self.patch * factor })
     }
 
     /// Side of a tag.
@@ -205,7 +214,9 @@ mod tests {
         assert!(sheet.tags[8].corners[2][0] > 76.9 && sheet.tags[8].corners[2][1] < -76.9);
         let farthest = |corner: &[f64; 2]| corner[0].abs().max(corner[1].abs());
         assert!(sheet.tags.iter().flat_map(|tag| &tag.corners).all(|corner| farthest(corner) > 56.9));
-        assert_eq!(Sheet::new(100.0).unwrap().scaled(0.5), Sheet::new(50.0).unwrap());
+        assert_eq!(Sheet::new(100.0).unwrap().with_printed_bar(50.0).unwrap(), Sheet::new(50.0).unwrap());
+        let message = Sheet::new(50.0).unwrap().with_printed_bar(9.8).unwrap_err().to_string();
+        assert!(message.starts_with("printed_bar: ") && message.ends_with("50 mm to 200 mm, got 9.8 mm"), "{message}");
         let message = Sheet::new(5.0).unwrap_err().to_string();
         assert!(message.contains("window") && message.contains("20 mm") && message.contains("got 5 mm"), "{message}");
     }

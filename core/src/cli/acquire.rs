@@ -1,10 +1,12 @@
 //! `svbrdf-gcn acquire`.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
+use super::bar::Bar;
 use super::{Budget, Millimetres, complain, say, say_json};
 use crate::acquire::{AcquireOptions, Report, Sheet, acquire, check_folder};
 use crate::cancel::CancelToken;
@@ -63,12 +65,7 @@ impl SheetOptions {
                 ));
             }
         };
-        let factor = self.printed_bar.0 / 100.0;
-        if !(0.5..=2.0).contains(&factor) {
-            let reason = format!("expected the printed length of 100 mm, 50 to 200, got {} mm", self.printed_bar.0);
-            return Err(Error::invalid("printed-bar", reason));
-        }
-        let mut options = AcquireOptions::new(sheet.scaled(factor));
+        let mut options = AcquireOptions::new(sheet.with_printed_bar(self.printed_bar.0)?);
         options.depth = self.depth.0;
         options.size = size;
         options.max_memory = max_memory;
@@ -109,8 +106,9 @@ pub struct AcquireArgs {
 }
 
 pub fn run(args: &AcquireArgs, cancel: &CancelToken) -> Result<()> {
-    let (report, shots) =
-        make_capture(&args.photos, &args.out, &args.sheet.options(args.size, args.budget.max_memory, cancel)?, cancel)?;
+    let options = args.sheet.options(args.size, args.budget.max_memory, cancel)?;
+    let mut bar = Bar::new(args.quiet || args.json);
+    let (report, shots) = make_capture(&args.photos, &args.out, &options, &mut bar)?;
     for warning in &report.warnings {
         complain(&format!("warning: {}", printable(warning)));
     }
@@ -128,11 +126,16 @@ pub fn make_capture(
     photos: &[PathBuf],
     folder: &Path,
     options: &AcquireOptions,
-    cancel: &CancelToken,
+    bar: &mut Bar,
 ) -> Result<(Report, Vec<Shot>)> {
     check_folder(folder)?;
-    let acquisition = acquire(photos, options)?;
-    acquisition.save_unless(folder, cancel)?;
+    let acquisition = acquire(photos, options, &mut |progress| {
+        bar.show(progress);
+        ControlFlow::Continue(())
+    });
+    bar.finish();
+    let acquisition = acquisition?;
+    acquisition.save_unless(folder, &options.cancel)?;
     let shots = acquisition.capture.photos().iter().map(|photo| photo.shot).collect();
     Ok((acquisition.report, shots))
 }

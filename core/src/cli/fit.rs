@@ -5,10 +5,10 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::acquire::{SheetOptions, make_capture};
+use super::bar::Bar;
 use super::outputs::keep;
 use super::{CaptureArgs, complain, say, say_json};
 use crate::cancel::CancelToken;
@@ -21,7 +21,6 @@ use crate::fit::verdict::Verdict;
 use crate::fit::{Fit, fit_material};
 use crate::io::material::{self, MaterialFormat, PREVIEW_PNG, SaveOptions, file_names};
 use crate::nn::Model;
-use crate::progress::Progress;
 
 /// The folder beside the maps for the capture that several photos become.
 const CAPTURE: &str = "capture";
@@ -182,15 +181,12 @@ pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
         keep(&args.out.join(name), "a photo that this command reads", photos.clone())?;
     }
     material::check_folder(&args.out, args.format())?;
+    let mut bar = Bar::new(args.quiet || args.json);
     let capture = match raw {
         Some(photos) => {
             let folder = args.out.join(CAPTURE);
-            let (report, _) = make_capture(
-                &photos,
-                &folder,
-                &args.sheet.options(args.size, args.capture.budget.max_memory, cancel)?,
-                cancel,
-            )?;
+            let options = args.sheet.options(args.size, args.capture.budget.max_memory, cancel)?;
+            let (report, _) = make_capture(&photos, &folder, &options, &mut bar)?;
             for warning in &report.warnings {
                 complain(&format!("warning: {}", printable(warning)));
             }
@@ -199,7 +195,6 @@ pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
         None => args.capture.open(args.size, 0, cancel)?,
     };
     let model = args.weights.as_deref().map(|path| Model::load_for(path, capture.len())).transpose()?;
-    let mut bar = Bar::new(args.quiet || args.json);
     let fit = fit_material(&capture, model.as_ref(), &args.fit_options(cancel.clone()), &mut |progress| {
         bar.show(progress);
         ControlFlow::Continue(())
@@ -294,38 +289,4 @@ fn verdict(verdict: &Verdict) -> Vec<String> {
     let reasons =
         verdict.reasons.iter().map(|reason| printable(format!("- {}; {}", reason.text, reason.advice)).to_string());
     std::iter::once(line).chain(reasons).collect()
-}
-
-/// The progress bar: stage, steps, loss, time left.
-struct Bar {
-    bar: ProgressBar,
-    stage: &'static str,
-}
-
-impl Bar {
-    fn new(hidden: bool) -> Self {
-        let bar = if hidden { ProgressBar::hidden() } else { ProgressBar::new(1) };
-        if let Ok(style) = ProgressStyle::with_template("{prefix:<9}{bar:40} {pos:>5}/{len} {msg}  {eta} left") {
-            bar.set_style(style);
-        }
-        Self { bar, stage: "" }
-    }
-
-    fn show(&mut self, progress: &Progress) {
-        let stage = progress.stage.name();
-        if stage != self.stage {
-            self.stage = stage;
-            self.bar.reset();
-            self.bar.set_prefix(stage);
-        }
-        self.bar.set_length(progress.steps as u64);
-        if let Some(loss) = progress.loss {
-            self.bar.set_message(format!("loss {loss:.4}"));
-        }
-        self.bar.set_position(progress.step as u64);
-    }
-
-    fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
 }

@@ -1,6 +1,7 @@
 //! The command line, as a library function so that every package can offer it.
 
 mod acquire;
+mod bar;
 mod evaluate;
 mod export;
 mod fit;

@@ -198,6 +198,7 @@ impl FitOptions {
             Stage::Adapters => self.adapter_steps.unwrap_or(self.preset.adapter_steps()),
             Stage::Direct => self.direct_steps.unwrap_or(self.preset.direct_steps()),
             Stage::Finish => self.finish_steps.unwrap_or(self.preset.finish_steps()),
+            Stage::Acquire => 0,
         }
     }
 

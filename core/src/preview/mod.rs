@@ -1,11 +1,10 @@
 //! The picture that shows a person what a fit came to.
 
-mod font;
-
 use std::path::Path;
 
 use crate::color::Transfer;
 use crate::error::{Error, Result};
+use crate::font;
 use crate::image::Image;
 use crate::io::png8;
 use crate::io::resize::{fit_size, shrink};

@@ -1,12 +1,12 @@
-//! A bitmap font for the labels of previews: capitals, digits and a few signs, 5 x 7 pixels.
+//! A bitmap font for labels in pictures: capitals, digits and a few signs, 5 x 7 pixels.
 
 /// Columns of a character without the gap to the next.
-pub(super) const WIDTH: usize = 5;
+pub const WIDTH: usize = 5;
 /// Rows of a character.
-pub(super) const HEIGHT: usize = 7;
+pub const HEIGHT: usize = 7;
 
 /// Whether the pixel of a character is set; small letters look like capitals, unknown characters like `?`.
-pub(super) fn is_set(character: char, row: usize, column: usize) -> bool {
+pub fn is_set(character: char, row: usize, column: usize) -> bool {
     glyph(character.to_ascii_uppercase()).as_bytes()[row * (WIDTH + 1) + column] == b'#'
 }
 
@@ -17,6 +17,10 @@ fn glyph(character: char) -> &'static str {
         '.' => "..... ..... ..... ..... ..... .##.. .##..",
         ',' => "..... ..... ..... ..... .##.. ..#.. .#...",
         ':' => "..... .##.. .##.. ..... .##.. .##.. .....",
+        ';' => "..... .##.. .##.. ..... .##.. ..#.. .#...",
+        '\'' => "..#.. ..#.. .#... ..... ..... ..... .....",
+        '"' => ".#.#. .#.#. ..... ..... ..... ..... .....",
+        '!' => "..#.. ..#.. ..#.. ..#.. ..... ..... ..#..",
         '-' => "..... ..... ..... ##### ..... ..... .....",
         '_' => "..... ..... ..... ..... ..... ..... #####",
         '+' => "..... ..#.. ..#.. ##### ..#.. ..#.. .....",
