@@ -25,6 +25,9 @@ def map_errors(maps, truth):
     errors = {"angle": angle_deg(maps.normal, truth.normal), "N": rmse(maps.normal / 2, truth.normal / 2)}
     for letter in "DRS":
         ours, true = getattr(maps, MAPS[letter]), getattr(truth, MAPS[letter])
+        if letter == "R" and ours.shape != true.shape:
+            # Two roughnesses are compared where both have two.
+            ours, true = maps.mean_roughness, truth.mean_roughness
         errors[letter] = rmse(ours, true)
         errors[f"{letter}22"] = rmse(gamma22(ours), gamma22(true))
     return errors
@@ -34,7 +37,7 @@ def covered(maps, deviations, truth):
     """The share of pixels whose error, for colours its root mean square, is within one standard deviation, by letter of the map."""
     out = {}
     for letter, kind in MAPS.items():
-        off = getattr(maps, kind) - getattr(truth, kind)
+        off = maps.mean_roughness - truth.mean_roughness if letter == "R" else getattr(maps, kind) - getattr(truth, kind)
         error = np.hypot(off[..., :1], off[..., 1:2]) if letter == "N" else np.sqrt((off**2).mean(-1, keepdims=True))
         out[letter] = float((error <= deviations[kind]).mean())
     return out

@@ -175,11 +175,14 @@ def load_fit(folder):
     """Maps and patch size that `svbrdf-gcn fit --format tiff` wrote."""
     described = json.loads((folder / "material.json").read_text())
     parts = {}
-    for kind in ("diffuse", "normal", "roughness", "specular"):
+    two = described["lobe"] == "anisotropic"
+    for kind in ("diffuse", "normal", "roughness", "specular") + (("tangent",) if two else ()):
         entry = described["maps"][kind]
         if entry["transfer"] != "linear":
             raise ValueError(f"{folder}: expected linear maps, got {kind} in {entry['transfer']}")
         values = tifffile.imread(folder / entry["file"]).astype(np.float64)
         parts[kind] = values if values.ndim == 3 else values[..., None]
     normal = parts["normal"]
-    return Maps(parts["diffuse"], unit(2 * normal - 1), parts["roughness"], parts["specular"]), described["patch_size"]
+    tangent = unit(2 * parts["tangent"] - 1) if two else None
+    roughness = parts["roughness"][..., : 2 if two else 1]
+    return Maps(parts["diffuse"], unit(2 * normal - 1), roughness, parts["specular"], tangent), described["patch_size"]

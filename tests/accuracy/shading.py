@@ -11,12 +11,21 @@ ROUGHNESS_MIN = 1e-3
 
 @dataclass(frozen=True)
 class Maps:
-    """Linear maps: `diffuse` and `specular` (H, W, 3), `roughness` (H, W, 1), perceptual, `normal` (H, W, 3), unit, +x right, +y up."""
+    """Linear maps: `diffuse` and `specular` (H, W, 3), `roughness` (H, W, 1), perceptual, `normal` (H, W, 3), unit, +x right, +y up.
+
+    Where lobes are not round, `tangent` (H, W, 3) and two roughnesses, along and across it.
+    """
 
     diffuse: np.ndarray
     normal: np.ndarray
     roughness: np.ndarray
     specular: np.ndarray
+    tangent: np.ndarray | None = None
+
+    @property
+    def mean_roughness(self):
+        """The geometric mean of both roughnesses, (H, W, 1)."""
+        return np.sqrt(self.roughness[..., :1] * self.roughness[..., -1:])
 
 
 def gamma22(linear):
@@ -49,11 +58,24 @@ def render(maps, camera, light, intensity, patch_size):
     n_dot_l, n_dot_v, n_dot_h, v_dot_h = dot(normal, light_dir), dot(normal, view), dot(normal, half), dot(view, half)
     lit = (n_dot_l > 0) & (n_dot_v > 0)
     alpha = np.maximum(maps.roughness.astype(np.float64), ROUGHNESS_MIN) ** 2
-    sine = np.cross(normal, half)
-    distribution = alpha**2 / (np.pi * (dot(sine, sine) + n_dot_h**2 * alpha**2) ** 2)
-    k = alpha / 2
-    # G / (n.v n.l): the cosines cancel.
-    masking = 1 / ((n_dot_v * (1 - k) + k) * (n_dot_l * (1 - k) + k))
+    if maps.tangent is None:
+        sine = np.cross(normal, half)
+        distribution = alpha**2 / (np.pi * (dot(sine, sine) + n_dot_h**2 * alpha**2) ** 2)
+        k = alpha / 2
+        # G / (n.v n.l): the cosines cancel.
+        masking = 1 / ((n_dot_v * (1 - k) + k) * (n_dot_l * (1 - k) + k))
+    else:
+        tangent = maps.tangent.astype(np.float64)
+        tangent = unit(tangent - normal * dot(normal, tangent))
+        bitangent = np.cross(normal, tangent)
+        along, across = alpha[..., :1], alpha[..., 1:]
+        stretched = (dot(tangent, half) / along) ** 2 + (dot(bitangent, half) / across) ** 2 + n_dot_h**2
+        distribution = 1 / (np.pi * along * across * stretched**2)
+
+        def smith(direction, cosine):
+            return 2 / (cosine + np.sqrt((along * dot(tangent, direction)) ** 2 + (across * dot(bitangent, direction)) ** 2 + cosine**2))
+
+        masking = smith(view, n_dot_v) * smith(light_dir, n_dot_l)
     fresnel = maps.specular + (1 - maps.specular) * 2 ** ((-5.55473 * v_dot_h - 6.98316) * v_dot_h)
     reflectance = maps.diffuse * (1 - maps.specular) / np.pi + fresnel * distribution * np.where(lit, masking, 0) / 4
     return np.where(lit, reflectance * n_dot_l * np.asarray(intensity) / dot(to_light, to_light), 0)

@@ -21,7 +21,7 @@ def bytes_of(values, tile=TILE):
 def row_of(maps, shot, patch_size):
     """Maps and a re-rendering as pictures; colours in gamma 2.2, roughness and normals as they are."""
     radiance = render(maps, shot.camera, shot.light, shot.intensity, patch_size)
-    return [bytes_of(v) for v in (gamma22(maps.diffuse), maps.normal / 2 + 0.5, maps.roughness, gamma22(maps.specular), gamma22(radiance))]
+    return [bytes_of(v) for v in (gamma22(maps.diffuse), maps.normal / 2 + 0.5, maps.mean_roughness, gamma22(maps.specular), gamma22(radiance))]
 
 
 def write(path, heads, rows):

@@ -48,11 +48,15 @@ def test_shares_within_a_deviation():
         assert abs(shares[letter] - expected) < 0.06, (letter, shares)
 
 
-def test_renderer_gives_the_expected_radiance():
-    points = tensors(FIXTURES / "brdf" / "isotropic.safetensors")
+@pytest.mark.parametrize("lobe", ["isotropic", "anisotropic"])
+def test_renderer_gives_the_expected_radiance(lobe):
+    points = tensors(FIXTURES / "brdf" / f"{lobe}.safetensors")
+    if lobe == "anisotropic":
+        points["roughness"] = np.sqrt(points["alpha"])
+    names = ("diffuse", "normal", "roughness", "specular") + (("tangent",) if lobe == "anisotropic" else ())
     for i in range(len(points["radiance"])):
         # A map of one pixel lies at the origin: the point moves there.
-        one = Maps(*(points[name][i].reshape(1, 1, -1) for name in ("diffuse", "normal", "roughness", "specular")))
+        one = Maps(*(points[name][i].reshape(1, 1, -1) for name in names))
         camera, light = (points[name][i] - points["position"][i] for name in ("camera", "light"))
         found = render(one, camera, light, points["power"][i], 1.0)[0, 0]
         expected = points["radiance"][i]
