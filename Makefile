@@ -20,7 +20,7 @@ endif
 # Property tests draw the same cases every time; another seed draws others.
 export PROPTEST_RNG_SEED ?= 1
 
-.PHONY: help build demo phone test setup lint unit docs-test c-test asan header install python-build python-test mutations golden blender-test oiio-test training-test stubs wheel addon bench accuracy ablations fuzz sample phone-sample clean
+.PHONY: help build demo phone test setup lint unit docs-test c-test asan header install python-build python-test mutations golden blender-test oiio-test training-test stubs wheel addon bench accuracy trade ablations fuzz sample phone-sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -128,16 +128,23 @@ oiio-test: ## readers, writers and colours against OpenImageIO (part of unit)
 bench: ## benchmarks; figures are in docs/performance.md
 	$(CARGO) bench -p svbrdf-gcn-benches
 
-# ACCURACY are arguments of the script: ACCURACY=--quick, ACCURACY=--report-only, ...
-accuracy: build ## fit materials and captures whose truth is known and write docs/accuracy.md (needs the measuring data; hours)
-	@[ -x $(VENV)/accuracy/bin/python ] || $(PYTHON) -m venv $(VENV)/accuracy
-	@cmp -s tests/accuracy/requirements.txt $(VENV)/accuracy/requirements.txt || { $(VENV)/accuracy/bin/pip install --quiet --disable-pip-version-check --no-deps -r tests/accuracy/requirements.txt \
-		&& cp tests/accuracy/requirements.txt $(VENV)/accuracy/requirements.txt; }
-	$(VENV)/accuracy/bin/python -m pytest -q tests/accuracy
-	$(VENV)/accuracy/bin/python tests/accuracy/accuracy.py --binary $(BIN) $(ACCURACY)
+ACCURACY_PYTHON := $(VENV)/accuracy/bin/python
+$(VENV)/accuracy/requirements.txt: tests/accuracy/requirements.txt
+	@[ -x $(ACCURACY_PYTHON) ] || $(PYTHON) -m venv $(VENV)/accuracy
+	$(VENV)/accuracy/bin/pip install --quiet --disable-pip-version-check --no-deps -r $<
+	cp $< $@
 
-ablations: build ## measure the trainings of python/training/ablations.py in out/ablations and write docs/ablations.md (after make accuracy)
-	$(VENV)/accuracy/bin/python tests/accuracy/ablations.py out/ablations --binary $(BIN)
+# ACCURACY are arguments of the script: ACCURACY=--quick, ACCURACY=--report-only, ...
+accuracy: build $(VENV)/accuracy/requirements.txt ## fit materials and captures whose truth is known and write docs/accuracy.md (needs the measuring data; hours)
+	$(ACCURACY_PYTHON) -m pytest -q tests/accuracy
+	$(ACCURACY_PYTHON) tests/accuracy/accuracy.py --binary $(BIN) $(ACCURACY)
+
+# TRADE are arguments of the script: TRADE="--count 2", ...
+trade: build $(VENV)/accuracy/requirements.txt ## what time and memory buy, one option at a time, and write docs/trade.md (needs the measuring data; an hour)
+	$(ACCURACY_PYTHON) tests/accuracy/trade.py --binary $(BIN) $(TRADE)
+
+ablations: build $(VENV)/accuracy/requirements.txt ## measure the trainings of python/training/ablations.py in out/ablations and write docs/ablations.md (after make accuracy)
+	$(ACCURACY_PYTHON) tests/accuracy/ablations.py out/ablations --binary $(BIN)
 
 FUZZ_SECONDS ?= 60
 fuzz: ## a minute (FUZZ_SECONDS) on each reader and on the C interface (needs cargo-fuzz)
