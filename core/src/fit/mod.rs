@@ -52,8 +52,8 @@ pub struct Fit {
 /// `model` may be `None`: then [`Model::embedded`]. `progress` is called at least after every step and stops the run when it breaks.
 ///
 /// # Errors
-/// [`Error::InvalidArgument`](crate::Error::InvalidArgument) for options out of range or a model that cannot take this many photos; [`Error::OutOfMemory`](crate::Error::OutOfMemory) before
-/// anything is computed; [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the loss is not finite from the start.
+/// [`Error::InvalidArgument`] for options out of range or a model that cannot take this many photos; [`Error::OutOfMemory`] before
+/// anything is computed; [`Error::Cancelled`]; [`Error::NonFinite`] if the loss is not finite from the start.
 pub fn fit_material(
     capture: &Capture,
     model: Option<&Model>,

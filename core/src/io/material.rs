@@ -93,7 +93,7 @@ pub struct SaveOptions {
     pub color_space: ColorSpace,
     /// How sure the maps are, written beside them.
     pub deviations: Option<Deviations>,
-    /// A picture in screen values, (H, W, 3), [0, 1], written as `preview.png`; see [`preview`](super::preview::preview).
+    /// A picture in screen values, (H, W, 3), [0, 1], written as `preview.png`; see [`preview`](crate::preview::preview).
     pub preview: Option<Image>,
 }
 
