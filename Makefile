@@ -20,7 +20,7 @@ endif
 # Property tests draw the same cases every time; another seed draws others.
 export PROPTEST_RNG_SEED ?= 1
 
-.PHONY: help build demo phone test setup lint unit docs-test c-test asan header install python-build python-test mutations golden blender-test oiio-test training-test stubs wheel addon bench accuracy trade ablations fuzz sample phone-sample clean
+.PHONY: help build demo phone test setup lint unit docs-test c-test asan header install python-build python-test mutations golden blender-test oiio-test training-test stubs wheel addon bench accuracy trade ablations fuzz sample phone-proof phone-sample clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -35,7 +35,7 @@ demo: build ## fit the sample capture and show where the pictures are
 	@echo "Look at out/demo/preview.png"
 
 phone: build ## photos of a printed sheet to maps, and where the pictures are
-	@$(BIN) fit samples/phone/*.jpg --depth 1mm --light-offset 14,4 -o out/phone
+	@$(BIN) fit samples/phone/*.jpg --depth 1mm --light-offset auto -o out/phone
 	@echo "Look at out/phone/capture/contact-sheet.png and out/phone/preview.png"
 
 # What only rebuilds need is not kept.
@@ -155,6 +155,9 @@ fuzz: ## a minute (FUZZ_SECONDS) on each reader and on the C interface (needs ca
 
 sample: setup ## path-trace the sample captures again
 	$(VENV)/blender/bin/python python/tools/make_sample.py samples
+
+phone-proof: ## how near acquire comes, on photos made by numpy; after python-build (docs/capturing.md)
+	$(VENV)/bin/python python/tools/phone_proof.py
 
 phone-sample: setup build ## path-trace the telephone's photos of the printed sheet again
 	mkdir -p out && $(BIN) sheet -o out/sheet.pdf

@@ -40,7 +40,8 @@ pub unsafe extern "C" fn svbrdf_gcn_acquire(
         // SAFETY: as many pointers as the caller said, each NULL or a string.
         let photo = |i: usize| unsafe { path("photo_paths_utf8", photo_paths_utf8.add(i).read_unaligned()) };
         let photos = (0..photo_count).map(|i| photo(i).map(PathBuf::from)).collect::<Result<Vec<_>, _>>()?;
-        let acquire_options = options.acquire_options(cancel)?;
+        // SAFETY: NULL or a string, says the caller.
+        let acquire_options = unsafe { options.acquire_options(cancel) }?;
         let mut callback = Callback::new(options.progress, options.progress_user_data);
         let acquisition = acquire(&photos, &acquire_options, &mut |progress| callback.call(progress));
         callback.check()?;

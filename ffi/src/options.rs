@@ -499,8 +499,12 @@ pub struct svbrdf_gcn_acquire_options {
     pub printed_bar: f64,
     /// How far the sample lies below the sheet's face; 0 by default, negative above it.
     pub depth: f64,
-    /// Where the flash is, seen from the lens: to the right and up in the photos; at the lens by default.
+    /// Where the flash is, seen from the lens: to the right and up in photos as they were taken, before they were turned upright; at the lens by default.
     pub light_offset: [f64; 2],
+    /// 1: where the flash is is found from the paper; 0, the default: it is where `light_offset` says.
+    pub find_light_offset: i32,
+    /// UTF-8 path of a photo of the sheet without flash, exposed as the others: what it shows is subtracted. NULL, the default: there is none.
+    pub dark_photo_utf8: *const c_char,
     /// Diffuse albedo of the paper; 0.8 by default.
     pub paper_white: f64,
     /// Side of the rectified photos in pixels, 16 to 16384; -1, the default: 1024. They are never finer than the photos.
@@ -526,6 +530,8 @@ impl SizeFirst for svbrdf_gcn_acquire_options {
             printed_bar: 100.0,
             depth: 0.0,
             light_offset: [0.0; 2],
+            find_light_offset: 0,
+            dark_photo_utf8: ptr::null(),
             paper_white: 0.8,
             size: -1,
             max_memory: -1,
@@ -537,11 +543,16 @@ impl SizeFirst for svbrdf_gcn_acquire_options {
 }
 
 impl svbrdf_gcn_acquire_options {
-    pub(crate) fn acquire_options(&self, cancel: CancelToken) -> Result<AcquireOptions> {
+    /// # Safety
+    /// `dark_photo_utf8` is NULL or a NUL-terminated string.
+    pub(crate) unsafe fn acquire_options(&self, cancel: CancelToken) -> Result<AcquireOptions> {
         let sheet = if self.frame_width == 0.0 { Sheet::new(self.window) } else { Sheet::tags16(self.frame_width) };
         let mut options = AcquireOptions::new(sheet?.with_printed_bar(self.printed_bar)?);
         options.depth = self.depth;
-        options.light_offset = self.light_offset;
+        let is_found = choose("find_light_offset", self.find_light_offset, &[(0, false), (1, true)])?;
+        options.light_offset = (!is_found).then_some(self.light_offset);
+        // SAFETY: the caller's word.
+        options.dark = unsafe { text("dark_photo_utf8", self.dark_photo_utf8) }?.map(Into::into);
         options.paper_white = self.paper_white;
         options.size = given("size", self.size)?;
         options.max_memory = given("max_memory", self.max_memory)?;
@@ -791,7 +802,8 @@ mod tests {
         let ours = unsafe { defaults.capture_options() }.unwrap();
         assert_eq!(format!("{ours:?}"), format!("{:?}", CaptureOptions::new()));
         assert_eq!(svbrdf_gcn_save_options::defaults().save_options().unwrap(), SaveOptions::default());
-        let ours = svbrdf_gcn_acquire_options::defaults().acquire_options(CancelToken::new()).unwrap();
+        // SAFETY: there is no photo without flash.
+        let ours = unsafe { svbrdf_gcn_acquire_options::defaults().acquire_options(CancelToken::new()) }.unwrap();
         let core = AcquireOptions::new(Sheet::new(100.0).unwrap());
         assert_eq!(format!("{ours:?}"), format!("{core:?}"));
     }
@@ -832,13 +844,16 @@ mod tests {
                 fill(&mut acquire, &bytes);
             }
             (capture.views, capture.cancel, export.name) = (ptr::null(), ptr::null(), ptr::null());
+            acquire.dark_photo_utf8 = ptr::null();
             let fit = options.fit_options(CancelToken::new());
             if let Ok(fit) = fit {
                 prop_assert_eq!(fit.seed, options.seed);
             }
-            // SAFETY: there are no views, no token and no name.
-            let (capture, export) = unsafe { (capture.capture_options(), export.export_options()) };
-            drop((capture, export, save.save_options(), acquire.acquire_options(CancelToken::new())));
+            // SAFETY: there are no views, no token, no name and no photo without flash.
+            let others = unsafe {
+                (capture.capture_options(), export.export_options(), acquire.acquire_options(CancelToken::new()))
+            };
+            drop((others, save.save_options()));
         }
     }
 }

@@ -578,9 +578,17 @@ typedef struct svbrdf_gcn_acquire_options {
    */
   double depth;
   /**
-   * Where the flash is, seen from the lens: to the right and up in the photos; at the lens by default.
+   * Where the flash is, seen from the lens: to the right and up in photos as they were taken, before they were turned upright; at the lens by default.
    */
   double light_offset[2];
+  /**
+   * 1: where the flash is is found from the paper; 0, the default: it is where `light_offset` says.
+   */
+  int32_t find_light_offset;
+  /**
+   * UTF-8 path of a photo of the sheet without flash, exposed as the others: what it shows is subtracted. NULL, the default: there is none.
+   */
+  const char *dark_photo_utf8;
   /**
    * Diffuse albedo of the paper; 0.8 by default.
    */

@@ -296,8 +296,12 @@ struct AcquireOptions {
     double printed_bar = 100.0;
     /// How far the sample lies below the sheet's face.
     double depth = 0.0;
-    /// Where the flash is, seen from the lens: to the right and up in the photos.
+    /// Where the flash is, seen from the lens: to the right and up in photos as they were taken, before they were turned upright.
     std::array<double, 2> light_offset{};
+    /// Where the flash is is found from the paper.
+    bool find_light_offset = false;
+    /// Path of a photo of the sheet without flash, exposed as the others: what it shows is subtracted.
+    std::string dark_photo;
     /// Diffuse albedo of the paper.
     double paper_white = 0.8;
     /// Side of the rectified photos in pixels; 1024 if not given. They are never finer than the photos.
@@ -508,6 +512,8 @@ inline Acquisition acquire(const std::vector<std::string> &photos, const Acquire
     converted.depth = options.depth;
     converted.light_offset[0] = options.light_offset[0];
     converted.light_offset[1] = options.light_offset[1];
+    converted.find_light_offset = options.find_light_offset ? 1 : 0;
+    converted.dark_photo_utf8 = options.dark_photo.empty() ? nullptr : options.dark_photo.c_str();
     converted.paper_white = options.paper_white;
     converted.size = options.size.value_or(-1);
     converted.max_memory = options.max_memory.value_or(-1);

@@ -114,7 +114,8 @@ def acquired(paths, settings, reading, options):
     sheet = {"frame_width": settings.frame_width} if settings.other_frame else {"window": settings.window}
     for name in ("printed_bar", "depth", "paper_white"):
         sheet[name] = getattr(settings, name)
-    sheet["light_offset"] = tuple(settings.light_offset)
+    sheet["light_offset"] = "auto" if settings.find_light_offset else tuple(settings.light_offset)
+    sheet["dark"] = absolute(settings.dark) or None
 
     def fit_acquired(**control):
         acquisition = svbrdf_gcn.acquire(paths, **sheet, size=reading["size"], max_memory=options["max_memory"], **control)

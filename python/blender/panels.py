@@ -50,7 +50,11 @@ def draw_files(column, settings):
         return
     column.prop(settings, "other_frame")
     column.prop(settings, "frame_width" if settings.other_frame else "window")
-    for name in ("printed_bar", "depth", "light_offset", "paper_white"):
+    for name in ("printed_bar", "depth", "find_light_offset"):
+        column.prop(settings, name)
+    if not settings.find_light_offset:
+        column.prop(settings, "light_offset")
+    for name in ("dark", "paper_white"):
         column.prop(settings, name)
 
 

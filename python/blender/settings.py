@@ -51,8 +51,15 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
     )
     printed_bar: FloatProperty(name="Printed Bar (mm)", description="Length of the sheet's bar of 100 mm as it was printed", default=100, min=50, max=200)
     depth: FloatProperty(name="Depth (mm)", description="How far the sample lies below the sheet's face; negative above it", default=0)
+    find_light_offset: BoolProperty(name="Find Flash", description="Find from the paper where the flash is beside the lens", default=False)
     light_offset: FloatVectorProperty(
-        name="Flash (mm)", description="Where the flash is, seen from the lens: to the right and up in the photos", size=2, default=(0, 0)
+        name="Flash (mm)",
+        description="Where the flash is, seen from the lens: to the right and up in photos as they were taken, before they were turned upright",
+        size=2,
+        default=(0, 0),
+    )
+    dark: StringProperty(
+        name="Without Flash", description="A photo of the sheet without flash, exposed as the others: what it shows is subtracted", subtype="FILE_PATH"
     )
     paper_white: FloatProperty(name="Paper", description="Diffuse albedo of the paper", default=0.8, min=0.01, max=1)
     folder: StringProperty(

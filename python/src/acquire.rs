@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use pyo3::prelude::*;
 use svbrdf_gcn::acquire::{AcquireOptions, Acquisition, Sheet, acquire};
 
+use crate::arrays::ImageArray;
 use crate::capture::PyCapture;
 use crate::errors::{argument, exception};
 use crate::fit::{PyCancelToken, reported, token};
-use crate::options::{Bytes, Given, Numbers, Paths, bytes, maybe, maybe_count};
+use crate::options::{Bytes, Given, LightOffset, Paths, bytes, maybe, maybe_count};
 use crate::types::{Callback, Json};
 
 /// Width of the sheet's window in millimetres.
@@ -37,6 +38,12 @@ impl PyAcquisition {
     #[getter]
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Json<'py>> {
         Json::of(py, &self.0.report)
+    }
+
+    /// A picture of it in sRGB from 0 to 1, float32 of shape (H, W, 3): photos with tags and sample drawn in, rectified patches, where cameras stood, what is missing.
+    #[getter]
+    fn contact_sheet<'py>(&self, py: Python<'py>) -> PyResult<ImageArray<'py>> {
+        ImageArray::owned(py, &self.0.contact_sheet)
     }
 
     /// Write the capture to a folder: ``capture.json``, the rectified photos as OpenEXR, for each with saturated pixels a PNG that says which, and ``contact-sheet.png``.
@@ -86,8 +93,11 @@ impl PyAcquisition {
 ///     How far the sample lies below the sheet's face.
 /// size : int, optional
 ///     Side of the rectified photos in pixels, 16 to 16384; 1024 if not given. They are never finer than the photos.
-/// light_offset : iterable of float, optional
-///     Where the flash is, seen from the lens: to the right and up in the photos. At the lens if not given.
+/// light_offset : iterable of float or "auto", optional
+///     Where the flash is, seen from the lens: to the right and up in photos as they were taken, before they were turned upright. At the lens if not given;
+///     found from the paper if ``"auto"``.
+/// dark : str or os.PathLike, optional
+///     A photo of the sheet without flash, exposed as the others: what it shows is subtracted.
 /// paper_white : float, default 0.8
 ///     Diffuse albedo of the paper.
 /// max_memory : int or str, optional
@@ -122,7 +132,7 @@ impl PyAcquisition {
 /// True
 #[pyfunction]
 #[pyo3(name = "acquire", signature = (photos, *, window = None, frame_width = None, printed_bar = None, depth = Given::Default(0.0), size = None,
-    light_offset = None, paper_white = Given::Default(0.8), max_memory = None, progress = None, cancel = None))]
+    light_offset = None, dark = None, paper_white = Given::Default(0.8), max_memory = None, progress = None, cancel = None))]
 #[allow(clippy::too_many_arguments, reason = "they have names in Python")]
 pub fn py_acquire(
     py: Python<'_>,
@@ -132,7 +142,8 @@ pub fn py_acquire(
     printed_bar: Option<Given<'_, f64>>,
     depth: Given<'_, f64>,
     size: Option<Given<'_, i128>>,
-    light_offset: Option<Given<'_, Numbers>>,
+    light_offset: Option<Given<'_, LightOffset>>,
+    dark: Option<Given<'_, PathBuf>>,
     paper_white: Given<'_, f64>,
     max_memory: Option<Given<'_, Bytes>>,
     progress: Option<Given<'_, Callback>>,
@@ -156,10 +167,10 @@ pub fn py_acquire(
     options.size = maybe_count("size", size)?;
     options.paper_white = paper_white.take("paper_white")?;
     options.max_memory = bytes(max_memory)?;
-    if let Some(Numbers(offset)) = maybe("light_offset", light_offset)? {
-        options.light_offset = <[f64; 2]>::try_from(offset)
-            .map_err(|offset| argument("light_offset", format_args!("expected two numbers, got {}", offset.len())))?;
+    if let Some(LightOffset(offset)) = maybe("light_offset", light_offset)? {
+        options.light_offset = offset;
     }
+    options.dark = maybe("dark", dark)?;
     options.cancel = token(cancel)?;
     let progress = maybe("progress", progress)?;
     reported(py, progress, |progress| acquire(&photos, &options, progress)).map(PyAcquisition)

@@ -124,6 +124,26 @@ impl<'py> Expected<'py> for Bytes {
     }
 }
 
+/// Where a flash is beside the lens; none where it is to be found.
+pub struct LightOffset(pub Option<[f64; 2]>);
+
+impl<'py> Expected<'py> for LightOffset {
+    const HINT: PyStaticExpr =
+        type_hint_union!(<Numbers as Expected<'py>>::HINT, <String as FromPyObject<'_, 'py>>::INPUT_TYPE);
+    const NAME: &'static str = "two numbers or 'auto'";
+
+    fn take(object: &Bound<'py, PyAny>) -> PyResult<Self> {
+        if object.is_instance_of::<PyString>() {
+            let text: String = object.extract()?;
+            return if text == "auto" { Ok(Self(None)) } else { Err(PyTypeError::new_err("text")) };
+        }
+        let Numbers(offset) = Numbers::take(object)?;
+        let offset = <[f64; 2]>::try_from(offset)
+            .map_err(|offset| PyValueError::new_err(format!("{} of them", offset.len())))?;
+        Ok(Self(Some(offset)))
+    }
+}
+
 macro_rules! listed {
     ($($list:ident($type:ident): $name:literal;)*) => {$(
         #[doc = concat!("A list, generator or the like of ", $name, ", but no text.")]

@@ -32,6 +32,11 @@ class Acquisition:
         The rectified photos with their positions, in millimetres.
         """
     @property
+    def contact_sheet(self, /) -> NDArray[float32]:
+        """
+        A picture of it in sRGB from 0 to 1, float32 of shape (H, W, 3): photos with tags and sample drawn in, rectified patches, where cameras stood, what is missing.
+        """
+    @property
     def report(self, /) -> dict[str, Any]:
         """
         What was found: ``photos``, those ``left_out`` with the reason, ``lenses``, ``warnings``.
@@ -731,7 +736,7 @@ class Progress:
         Steps that the stage takes at most.
         """
 
-def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | SupportsIndex | None = None, frame_width: SupportsFloat | SupportsIndex | None = None, printed_bar: SupportsFloat | SupportsIndex | None = None, depth: SupportsFloat | SupportsIndex = ..., size: SupportsIndex | None = None, light_offset: Iterable[SupportsFloat | SupportsIndex] | None = None, paper_white: SupportsFloat | SupportsIndex = ..., max_memory: SupportsIndex | str | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Acquisition:
+def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | SupportsIndex | None = None, frame_width: SupportsFloat | SupportsIndex | None = None, printed_bar: SupportsFloat | SupportsIndex | None = None, depth: SupportsFloat | SupportsIndex = ..., size: SupportsIndex | None = None, light_offset: Iterable[SupportsFloat | SupportsIndex] | str | None = None, dark: str | PathLike[str] | None = None, paper_white: SupportsFloat | SupportsIndex = ..., max_memory: SupportsIndex | str | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Acquisition:
     """
     Make a capture of photos that show the sample in the window of a printed sheet (``svbrdf-gcn sheet``, docs/capturing.md).
 
@@ -751,8 +756,11 @@ def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | Su
         How far the sample lies below the sheet's face.
     size : int, optional
         Side of the rectified photos in pixels, 16 to 16384; 1024 if not given. They are never finer than the photos.
-    light_offset : iterable of float, optional
-        Where the flash is, seen from the lens: to the right and up in the photos. At the lens if not given.
+    light_offset : iterable of float or "auto", optional
+        Where the flash is, seen from the lens: to the right and up in photos as they were taken, before they were turned upright. At the lens if not given;
+        found from the paper if ``"auto"``.
+    dark : str or os.PathLike, optional
+        A photo of the sheet without flash, exposed as the others: what it shows is subtracted.
     paper_white : float, default 0.8
         Diffuse albedo of the paper.
     max_memory : int or str, optional

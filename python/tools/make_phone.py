@@ -31,6 +31,8 @@ FOCAL_LENGTH_35MM = 26
 LIGHT_OFFSET, LIGHT_RADIUS, BEAM = (14.0, 4.0), 1.5, 2.0
 INTENSITY = (190000.0, 178000.0, 158000.0)
 NOISE = 0.004
+# More contrast than sRGB in the middle, and a shoulder; see make_photos.encode.
+TONE = 0.035
 JPEG_QUALITY = 92
 # The pinhole picture reaches this far beyond the photo's, and is this much finer.
 REACH, FINER = 1.12, 1.6
@@ -47,13 +49,6 @@ def shots(count):
         roll = 0.15 * np.sin(5 * i) + (np.pi / 2 if i == 1 else 0.0)
         made.append(Shot(tuple(place), (3 * np.sin(i), 2 * np.cos(2 * i), 0.0), roll, 1.0 if i % 2 else 0.85, size))
     return made
-
-
-def tone(linear):
-    """Codes of a telephone, 0 to 1: the sRGB curve, more contrast in the middle and a shoulder."""
-    linear = np.clip(linear, 0, 1)
-    code = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return code - 0.035 * np.sin(2 * np.pi * code)
 
 
 def developed(pinhole, shot, half_width, seed):
@@ -81,7 +76,8 @@ def developed(pinhole, shot, half_width, seed):
         out += (value * (beam * vignetting)[:, None]).reshape(height, width, 3) / samples**2
     out = out * np.array(INTENSITY) * shot.exposure
     noise = np.random.default_rng(seed).standard_normal(out.shape)
-    return np.round(255 * tone(out + NOISE * np.sqrt(np.clip(out, 1e-4, None)) * noise)).astype(np.uint8)
+    noisy = out + NOISE * np.sqrt(np.clip(out, 1e-4, None)) * noise
+    return np.round(255 * make_photos.encode(np.clip(noisy, 0, 1), TONE)).astype(np.uint8)
 
 
 def write_jpeg(path, pixels, upright, exposure):
@@ -145,7 +141,7 @@ def main():
         for i, (made, shot) in enumerate(zip(job["shots"], taken))
     ]
     # In the frame of the sheet, whose face is at z = 0; the capture's is the sample's, `depth` below.
-    truth = {"depth": DEPTH, "light_offset": LIGHT_OFFSET, "light_intensity": INTENSITY, "focal_length": LENS.focal_length, "radial": LENS.radial}
+    truth = {"depth": DEPTH, "light_offset": LIGHT_OFFSET, "light_intensity": INTENSITY, "focal_length": LENS.focal_length, "radial": LENS.radial, "tone": TONE}
     (arguments.out / "truth.json").write_text(json.dumps({**truth, "photos": photos}, indent=1) + "\n")
 
 

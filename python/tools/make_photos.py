@@ -1,7 +1,8 @@
 """Raw photos of a printed sheet, made without this project's renderer: rays through a lens with distortion, numpy, nothing else.
 
 The sheet is the PDF that `svbrdf-gcn sheet` writes, rasterised by PDFium; in its window lies a matt pattern. Light falls off with the square of
-the distance, with the cosine at the surface, towards the edges of the picture (cos^4) and off the axis of the flash.
+the distance, with the cosine at the surface, towards the edges of the picture (cos^4) and off the axis of the flash. There may be other light in the
+room, and the camera may bend its tone curve.
 """
 
 import argparse
@@ -50,6 +51,7 @@ class Shot:
     exposure: float = 1.0
     size: tuple = (1500, 1000)
     blur: int = 0
+    flash: bool = True
 
 
 @dataclass
@@ -63,6 +65,9 @@ class Scene:
     vignetting: bool = True
     noise: float = 0.004
     depth: float = 0.0
+    # Light of the room: irradiance in photo units, the same everywhere. Tone curve: what is taken from sRGB's code u, times sin(2 pi u).
+    room: tuple = (0.0, 0.0, 0.0)
+    tone: float = 0.0
 
 
 def page(pdf, pixels_per_mm=12.0, finer=4):
@@ -140,16 +145,22 @@ def photograph(scene, shot, seed=0, samples=3):
         d = np.linalg.norm(to_light, axis=-1)
         beam = np.clip((to_light @ -frame[2]) / d, 0, 1) ** scene.beam
         irradiance = np.clip(to_light[:, 2], 0, None) / d**3 * beam
+        light_on = irradiance[:, None] * np.array(scene.intensity) * shot.flash + np.array(scene.room)
         if scene.vignetting:
-            irradiance = irradiance / (1 + (direction**2).sum(-1)) ** 2
-        radiance = color / np.pi * irradiance[:, None] * np.array(scene.intensity) * shot.exposure
+            light_on = light_on / ((1 + (direction**2).sum(-1)) ** 2)[:, None]
+        radiance = color / np.pi * light_on * shot.exposure
         out += radiance.reshape(height, width, 3) / samples**2
     for _ in range(shot.blur):
         out = (out + np.roll(out, 1, 1) + np.roll(out, -1, 1)) / 3
     out = out + scene.noise * np.sqrt(np.clip(out, 1e-4, None)) * rng.standard_normal(out.shape)
     out = np.clip(out, 0, 1)
-    codes = np.where(out <= 0.0031308, 12.92 * out, 1.055 * out ** (1 / 2.4) - 0.055)
-    return np.round(255 * codes).astype(np.uint8)
+    return np.round(255 * encode(out, scene.tone)).astype(np.uint8)
+
+
+def encode(linear, tone):
+    """Codes of linear values from 0 to 1."""
+    code = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return code - tone * np.sin(2 * np.pi * code)
 
 
 def around(count=9, distance=250.0, lean=25.0, size=(1500, 1000)):

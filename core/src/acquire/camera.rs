@@ -70,7 +70,8 @@ pub struct Place {
 }
 
 impl Place {
-    fn apply(&self, point: [f64; 3]) -> [f64; 3] {
+    /// Where a point of the sheet is in the camera's frame.
+    pub fn apply(&self, point: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|i| (0..3).map(|k| self.rotation[i][k] * point[k]).sum::<f64>() + self.translation[i])
     }
 
@@ -83,12 +84,6 @@ impl Place {
     /// The position of the camera in the sheet's frame.
     pub fn position(&self) -> [f64; 3] {
         self.in_sheet([0.0; 3])
-    }
-
-    /// Square of the tangent of the angle between a point of the sheet and the camera's axis.
-    pub fn tangent2(&self, point: [f64; 3]) -> f64 {
-        let [x, y, z] = self.apply(point);
-        (x * x + y * y) / (z * z)
     }
 
     /// Where a point of the sheet is in the picture.

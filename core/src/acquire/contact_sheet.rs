@@ -156,14 +156,22 @@ fn headline(report: &Report) -> Vec<String> {
     let mut lines = vec![format!("{used} of {} photos used, rectified to {1} x {1} pixels", used + out, report.size)];
     for (i, lens) in report.lenses.iter().enumerate() {
         let exif = lens.focal_length_from_exif.map_or(String::new(), |f| format!(" (EXIF: {f:.0})"));
-        let corner = 100.0 * (1.0 - super::light::loss(lens.fall_off, 0.3));
+        // At a tangent of one half.
+        let share = |[a, b]: [f64; 2]| 100.0 * (1.0 - (0.25 * a + 0.0625 * b).exp());
+        let lost = share([lens.fall_off[0] + lens.flash_fall_off[0], lens.fall_off[1] + lens.flash_fall_off[1]]);
+        let [right, up] = lens.light_offset;
         lines.push(format!(
-            "lens {}: {} photos, focal length {:.0} pixels{exif}, radial {:.3} {:.3}, loses {corner:.0} % of its light at 29 degrees",
+            "lens {}: {} photos, focal length {:.0} pixels{exif}, radial {:.3} {:.3}",
             i + 1,
             lens.photos,
             lens.focal_length,
             lens.radial[0],
             lens.radial[1]
+        ));
+        let tone: Vec<String> = lens.tone.iter().map(|t| format!("{t:+.3}")).collect();
+        lines.push(format!(
+            "lens and flash lose {lost:.0} % at 27 degrees, flash {right:.0} mm right and {up:.0} mm up of the lens, tone curve {}",
+            tone.join(" ")
         ));
     }
     lines

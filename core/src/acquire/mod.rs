@@ -8,6 +8,7 @@ mod contact_sheet;
 mod geometry;
 mod light;
 mod missing;
+mod papers;
 mod picture;
 mod print;
 mod rectify;
@@ -34,10 +35,10 @@ pub use sheet::{Sheet, Tag};
 
 use crate::cancel::CancelToken;
 use crate::capture::{Capture, MAX_PHOTOS, Photo};
-use crate::color::Transfer;
+use crate::color::{Matrix, Transfer};
 use crate::error::{Error, Result};
 use crate::image::Image;
-use crate::io::{CameraData, Stored, demand, read_stored};
+use crate::io::{CameraData, Samples, demand, read_stored};
 use crate::progress::{Progress, ProgressFn, Stage};
 use crate::shot::Shot;
 use crate::unit::Unit;
@@ -45,8 +46,9 @@ use crate::{memory, pool};
 
 use camera::{Calibration, Lens, Place, Points, calibrate};
 use contact_sheet::{Marks, Shown, Thumbnail, contact_sheet};
-use light::PLACES_MIN;
-use rectify::{Part, View, decoding, grey, pixels_across, rectified};
+use light::{FallOff, Known, PLACES_MIN, Tone};
+use papers::{Measured, measured, papers, turned, turned_back};
+use rectify::{ToneTable, View, decoding, grey, pixels_across, rectified};
 use tags::{Detection, Found, Line, detect};
 
 /// The fewest tags that tell where a photo was taken from.
@@ -70,8 +72,11 @@ const SIZE: usize = 1024;
 const BLUR: f64 = 1.0;
 /// Deviation of the paper from what position and light explain from which on it is worth a word, as a share.
 const PAPER_ERROR: f64 = 0.05;
-/// Share of the white between two tags that is looked at.
-const PAPER_SHARE: f64 = 0.4;
+/// Share of light that is not the flash's, and deviation of its colour from that of other photos, from which on they are worth a word.
+const AMBIENT: f64 = 0.05;
+const WHITE_BALANCE: f64 = 0.05;
+/// Greys that photos show in the mean, at least, if they are to tell the tone curve.
+const GREYS_MIN: usize = 3;
 
 /// How photos are made a capture.
 #[derive(Clone, Debug)]
@@ -83,8 +88,10 @@ pub struct AcquireOptions {
     pub depth: f64,
     /// Side of the rectified photos in pixels; 1024 if `None`. They are never finer than the photos.
     pub size: Option<usize>,
-    /// Where the flash is, seen from the lens: to the right and up in the photo, in millimetres.
-    pub light_offset: [f64; 2],
+    /// Where the flash is, seen from the lens: to the right and up in the photo as the camera took it, before it was turned upright; in millimetres. `None`: it is found from the paper.
+    pub light_offset: Option<[f64; 2]>,
+    /// A photo of the sheet without flash, exposed as the others: what it shows is subtracted.
+    pub dark: Option<PathBuf>,
     /// Diffuse albedo of the paper.
     pub paper_white: f64,
     /// Most bytes the work may use; three quarters of the free memory if `None`.
@@ -97,13 +104,14 @@ impl AcquireOptions {
     /// The sample at the face of `sheet`, the flash at the lens, paper of diffuse albedo 0.8.
     pub fn new(sheet: Sheet) -> Self {
         let (size, max_memory, cancel) = (None, None, CancelToken::new());
-        Self { sheet, depth: 0.0, size, light_offset: [0.0; 2], paper_white: 0.8, max_memory, cancel }
+        let (light_offset, dark) = (Some([0.0; 2]), None);
+        Self { sheet, depth: 0.0, size, light_offset, dark, paper_white: 0.8, max_memory, cancel }
     }
 
     fn check(&self) -> Result<()> {
-        let finite = [self.depth, self.light_offset[0], self.light_offset[1]].iter().all(|value| value.abs() < 1e4);
-        if !finite {
-            let reason = format!("expected lengths below 10 m, got {} and {:?}", self.depth, self.light_offset);
+        let [right, up] = self.light_offset.unwrap_or_default();
+        if ![self.depth, right, up].iter().all(|value| value.abs() < 1e4) {
+            let reason = format!("expected lengths below 10 m, got {} and {:?}", self.depth, [right, up]);
             return Err(Error::invalid("depth, light_offset", reason));
         }
         if !(self.paper_white > 0.0 && self.paper_white <= 1.0) {
@@ -139,6 +147,10 @@ struct Sighting {
     size: [usize; 2],
     camera: CameraData,
     tags: Vec<Found>,
+    papers: Vec<Measured>,
+    /// Whether its values are linear by themselves.
+    is_linear: bool,
+    to_rec709: Option<Matrix>,
     notes: Vec<String>,
 }
 
@@ -182,7 +194,7 @@ pub fn acquire(photos: &[PathBuf], options: &AcquireOptions, progress: &mut Prog
     // What the callback stops is this run alone.
     let options = AcquireOptions { cancel: options.cancel.child(), ..options.clone() };
     let done = AtomicUsize::new(0);
-    let steps = 2 * photos.len();
+    let steps = 2 * photos.len() + usize::from(options.dark.is_some());
     let mut report = |step: usize| {
         options.cancel.check()?;
         if progress(&Progress { stage: Stage::Acquire, step, steps, loss: None }) == ControlFlow::Break(()) {
@@ -217,7 +229,8 @@ fn of_photos(photos: &[PathBuf], options: &AcquireOptions, done: &AtomicUsize) -
     let count = plan(photos, options)?;
     let mut left_out = Vec::new();
     let (mut sightings, mut thumbnails) = (Vec::new(), Vec::new());
-    let numbered: Vec<(usize, &PathBuf)> = photos.iter().enumerate().collect();
+    // The photo without flash is the last.
+    let numbered: Vec<(usize, &PathBuf)> = photos.iter().chain(&options.dark).enumerate().collect();
     for (thumbnail, sighting) in at_a_time(&numbered, count, done, |&(index, path)| sighting(index, path, options))? {
         thumbnails.push(thumbnail);
         match sighting {
@@ -225,10 +238,84 @@ fn of_photos(photos: &[PathBuf], options: &AcquireOptions, done: &AtomicUsize) -
             Err(photo) => left_out.push(photo),
         }
     }
-    let (lenses, placed) = place(sightings, options, &mut left_out);
+    let (mut lenses, mut placed) = place(sightings, options, &mut left_out);
+    let dark = match &options.dark {
+        Some(path) => Some(without_flash(path, photos.len(), &mut placed, &left_out)?),
+        None => None,
+    };
+    let light = lit(&mut lenses, &placed, dark.as_ref(), options);
     let size = output_size(&lenses, &placed, options);
+    let dark = match &dark {
+        Some(dark) => Some((dark, prepare(dark, &lenses, size, options)?)),
+        None => None,
+    };
     let prepared = at_a_time(&placed, count, done, |photo| prepare(photo, &lenses, size, options))?;
-    assemble(prepared, &lenses, size, options, left_out, thumbnails)
+    let dark = dark.as_ref().map(|(photo, prepared)| (*photo, prepared));
+    assemble(&placed, prepared, &light, dark, lenses, size, options, left_out, thumbnails)
+}
+
+/// Takes the photo without flash, which is number `index`, out of the others.
+///
+/// # Errors
+/// [`Error::InvalidArgument`] if the sheet was not found in it.
+fn without_flash(path: &Path, index: usize, placed: &mut Vec<Placed>, left_out: &[LeftOut]) -> Result<Placed> {
+    if let Some(at) = placed.iter().position(|photo| photo.sighting.index == index) {
+        return Ok(placed.remove(at));
+    }
+    let reason = left_out.iter().find(|out| out.index == index).map_or("cannot be used", |out| &out.reason);
+    Err(Error::invalid("dark", format!("{}: {reason}", path.display())))
+}
+
+/// The share of a photo without flash that is in another: by their exposures, if both are known.
+fn exposure_ratio(photo: &CameraData, dark: &CameraData) -> f64 {
+    photo.exposure.zip(dark.exposure).map_or(1.0, |(photo, dark)| photo / dark)
+}
+
+/// The light of one photo.
+#[derive(Clone, Copy, Debug, Default)]
+struct Lit {
+    intensity: [f64; 3],
+    error: f64,
+    ambient: f64,
+}
+
+/// The light of every photo, and what its lens and the camera do to it.
+fn lit(lenses: &mut [LensReport], placed: &[Placed], dark: Option<&Placed>, options: &AcquireOptions) -> Vec<Lit> {
+    let mut light = vec![Lit::default(); placed.len()];
+    for (index, lens) in lenses.iter_mut().enumerate() {
+        let own: Vec<usize> = (0..placed.len()).filter(|&i| placed[i].lens == index).collect();
+        if own.is_empty() {
+            continue;
+        }
+        let papers = |i: &usize| {
+            let Placed { sighting, place, .. } = &placed[*i];
+            let dark = dark.map(|dark| {
+                let ratio = exposure_ratio(&sighting.camera, &dark.sighting.camera);
+                (dark.sighting.papers.as_slice(), ratio)
+            });
+            papers(&sighting.papers, dark, place, sighting.camera.quarter_turns)
+        };
+        let papers: Vec<Vec<light::Paper>> = own.iter().map(papers).collect();
+        let greys = papers.iter().flatten().filter(|paper| paper.grey.is_some()).count();
+        let is_linear = own.iter().any(|&i| placed[i].sighting.is_linear);
+        let known = Known {
+            white: options.paper_white,
+            offset: options.light_offset,
+            // Without greys nothing tells a curve from a fall-off.
+            is_srgb: is_linear || greys < GREYS_MIN * papers.len(),
+        };
+        let found = light::estimate(&papers, known);
+        (lens.tone, lens.fall_off, lens.flash_fall_off) = (found.tone.0, found.fall_off.lens, found.fall_off.flash);
+        lens.light_offset = found.offset;
+        for (k, &i) in own.iter().enumerate() {
+            let intensity = match &placed[i].sighting.to_rec709 {
+                Some(matrix) => matrix.map(|row| (0..3).map(|c| row[c] * found.intensities[k][c]).sum()),
+                None => found.intensities[k],
+            };
+            light[i] = Lit { intensity, error: found.errors[k], ambient: found.ambient[k] };
+        }
+    }
+    light
 }
 
 /// How many photos are worked on at a time within the budget.
@@ -240,7 +327,7 @@ fn plan(photos: &[PathBuf], options: &AcquireOptions) -> Result<usize> {
     let shown = photos.len().min(contact_sheet::SHOWN) as u64;
     let kept = KEPT_BYTES * side * side * photos.len() as u64 + 2 * contact_sheet::SHOWN_BYTES * shown;
     // Of what is no photo the reading says what is wrong.
-    let demands = photos.iter().filter_map(|path| demand(path, &options.cancel).ok());
+    let demands = photos.iter().chain(&options.dark).filter_map(|path| demand(path, &options.cancel).ok());
     let one =
         demands.map(|demand| demand.decoding.max(demand.stored + WORK_BYTES * (demand.size.0 * demand.size.1) as u64));
     let one = one.max().unwrap_or(0) + tags::SEARCH_MEMORY;
@@ -312,7 +399,18 @@ fn sighting(index: usize, path: &Path, options: &AcquireOptions) -> Result<Look>
         notes.push("its EXIF data say that the flash did not fire".to_owned());
     }
     let size = [stored.width, stored.height];
-    let sighting = Sighting { index, path: path.to_owned(), size, camera: stored.camera, tags, notes };
+    let papers = measured(&stored, &decoding, &options.sheet, &tags, &options.cancel)?;
+    let white = papers.iter().filter(|paper| paper.grey.is_none()).count();
+    if white < PLACES_MIN {
+        let reason = format!(
+            "the paper is overexposed or black but in {white} of {} places, {PLACES_MIN} are needed: expose it right, the flash on",
+            options.sheet.tags.len()
+        );
+        return Ok((thumbnail, Err(LeftOut { photo: name, reason, index })));
+    }
+    let is_linear = matches!(stored.pixels().samples, Samples::F32(_));
+    let (path, camera, to_rec709) = (path.to_owned(), stored.camera, decoding.to_rec709);
+    let sighting = Sighting { index, path, size, camera, tags, papers, is_linear, to_rec709, notes };
     Ok((thumbnail, Ok(sighting)))
 }
 
@@ -350,6 +448,9 @@ fn place(
             focal_length_from_exif,
             radial: lens.radial,
             fall_off: [0.0; 2],
+            flash_fall_off: [0.0; 2],
+            tone: [0.0; light::TONE],
+            light_offset: [0.0; 2],
         });
     }
     (lenses, placed)
@@ -421,101 +522,44 @@ fn output_size(lenses: &[LensReport], placed: &[Placed], options: &AcquireOption
     options.size.unwrap_or(SIZE).min(finest.max(16))
 }
 
-/// A photo that was rectified, and its paper.
-struct Prepared<'a> {
-    photo: &'a Placed,
+/// A photo that was rectified.
+struct Prepared {
     patch: std::result::Result<(Image, Vec<u8>), String>,
-    paper: Vec<light::Paper>,
-    light: [f64; 3],
     blur: f64,
 }
 
-fn prepare<'a>(
-    photo: &'a Placed,
-    lenses: &[LensReport],
-    size: usize,
-    options: &AcquireOptions,
-) -> Result<Prepared<'a>> {
+fn prepare(photo: &Placed, lenses: &[LensReport], size: usize, options: &AcquireOptions) -> Result<Prepared> {
     let name = name_of(&photo.sighting.path);
     let stored = read_stored(&photo.sighting.path, &options.cancel)?;
     let (decoding, _) = decoding(&name, &stored)?;
-    let lens = lenses[photo.lens].lens();
+    let (lens, tone) = (lenses[photo.lens].lens(), ToneTable::new(Tone(lenses[photo.lens].tone)));
     let view = View { lens: &lens, place: &photo.place, size: photo.sighting.size };
-    let [right, up] = options.light_offset;
-    let light = photo.place.in_sheet([right, -up, 0.0]);
-    let paper = paper(&stored, &decoding, &view, light, options)?;
     let patch = options.sheet.patch;
-    let rectified = rectified(&stored, &decoding, &view, (patch, options.depth, size), &options.cancel)?;
+    let rectified = rectified(&stored, (&decoding, &tone), &view, (patch, options.depth, size), &options.cancel)?;
     let blurs = photo.sighting.tags.iter().map(|tag| tag.blur).sum::<f64>();
     let blur = blurs / photo.sighting.tags.len() as f64 * size as f64 / pixels_across(&view, patch, options.depth);
-    let patch = rectified.ok_or_else(|| "the sample's square is not all in the photo".to_owned());
-    Ok(Prepared { photo, patch, paper, light, blur })
-}
-
-/// The paper between neighbouring tags.
-fn paper(
-    stored: &Stored,
-    decoding: &crate::io::profile::Decoding,
-    view: &View<'_>,
-    light: [f64; 3],
-    options: &AcquireOptions,
-) -> Result<Vec<light::Paper>> {
-    let tags = &options.sheet.tags;
-    let center = |tag: &Tag| [0, 1].map(|i| tag.corners.iter().map(|corner| corner[i]).sum::<f64>() / 4.0);
-    let mut papers = Vec::new();
-    for (i, tag) in tags.iter().enumerate() {
-        let (a, b) = (center(tag), center(&tags[(i + 1) % tags.len()]));
-        let gap = (a[0] - b[0]).hypot(a[1] - b[1]) - options.sheet.tag_side();
-        let middle = [0, 1].map(|k| (a[k] + b[k]) / 2.0);
-        let half = PAPER_SHARE * gap / 2.0;
-        let places: Vec<[f64; 2]> = (0..25)
-            .map(|k| {
-                [middle[0] + half * (f64::from(k % 5) / 2.0 - 1.0), middle[1] + half * (f64::from(k / 5) / 2.0 - 1.0)]
-            })
-            .collect();
-        let pixels: Vec<[f64; 2]> = places.iter().map(|&[x, y]| view.pixel([x, y, 0.0])).collect();
-        let Some(part) = Part::around(stored, decoding, &pixels, &options.cancel)? else { continue };
-        let colors: Vec<([f64; 3], u8)> = pixels.iter().map(|&pixel| part.at(pixel)).collect();
-        let radiance = [0, 1, 2].map(|c| colors.iter().map(|(color, _)| color[c]).sum::<f64>() / 25.0);
-        if colors.iter().any(|(_, saturated)| *saturated != 0) || radiance.iter().any(|value| *value <= 0.0) {
-            continue;
-        }
-        let to_light = [light[0] - middle[0], light[1] - middle[1], light[2]];
-        let distance = geometry::norm(to_light);
-        papers.push(light::Paper {
-            radiance,
-            irradiance: to_light[2] / distance.powi(3),
-            r2: view.place.tangent2([middle[0], middle[1], 0.0]),
-        });
-    }
-    Ok(papers)
+    Ok(Prepared { patch: rectified.ok_or_else(|| "the sample's square is not all in the photo".to_owned()), blur })
 }
 
 /// Light of every photo, fall-off divided out, and what there is to say.
+#[allow(clippy::too_many_arguments, reason = "all that is known")]
 fn assemble(
-    prepared: Vec<Prepared<'_>>,
-    lenses: &[LensReport],
+    placed: &[Placed],
+    prepared: Vec<Prepared>,
+    light: &[Lit],
+    dark: Option<(&Placed, &Prepared)>,
+    lenses: Vec<LensReport>,
     size: usize,
     options: &AcquireOptions,
     mut left_out: Vec<LeftOut>,
     mut thumbnails: Vec<Option<Thumbnail>>,
 ) -> Result<Acquisition> {
-    let mut lenses = lenses.to_vec();
-    let mut usable: Vec<(Prepared<'_>, Image, Vec<u8>)> = Vec::new();
-    for mut photo in prepared {
-        let (name, index) = (name_of(&photo.photo.sighting.path), photo.photo.sighting.index);
-        let patch = std::mem::replace(&mut photo.patch, Err(String::new()));
+    let mut usable: Vec<(&Placed, Lit, f64, Image, Vec<u8>)> = Vec::new();
+    for ((photo, Prepared { patch, blur }), light) in placed.iter().zip(prepared).zip(light) {
+        let Sighting { index, path, .. } = &photo.sighting;
         match patch {
-            Err(reason) => left_out.push(LeftOut { photo: name, reason, index }),
-            Ok(_) if photo.paper.len() < PLACES_MIN => {
-                let reason = format!(
-                    "the paper is overexposed or black but in {} of {} places, {PLACES_MIN} are needed: expose it right, the flash on",
-                    photo.paper.len(),
-                    options.sheet.tags.len()
-                );
-                left_out.push(LeftOut { photo: name, reason, index });
-            }
-            Ok((image, saturated)) => usable.push((photo, image, saturated)),
+            Err(reason) => left_out.push(LeftOut { photo: name_of(path), reason, index: *index }),
+            Ok((image, saturated)) => usable.push((photo, *light, blur, image, saturated)),
         }
     }
     if usable.is_empty() {
@@ -531,40 +575,48 @@ fn assemble(
         ));
     }
     let (mut photos, mut reports, mut warnings, mut shown) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let mut intensities = vec![([0.0; 3], 0.0); usable.len()];
-    for (index, lens) in lenses.iter_mut().enumerate() {
-        let own: Vec<usize> = (0..usable.len()).filter(|&i| usable[i].0.photo.lens == index).collect();
-        if own.is_empty() {
-            continue;
-        }
-        let papers: Vec<Vec<light::Paper>> = own.iter().map(|&i| usable[i].0.paper.clone()).collect();
-        let light = light::estimate(&papers, options.paper_white);
-        lens.fall_off = light.fall_off;
-        for (k, &i) in own.iter().enumerate() {
-            intensities[i] = (light.intensities[k], light.errors[k]);
-        }
-    }
-    for ((photo, mut image, saturated), (light_intensity, paper_error)) in usable.into_iter().zip(intensities) {
-        let Placed { sighting, lens, place, error } = photo.photo;
+    let usual = usual_white(usable.iter().map(|(_, light, ..)| light.intensity));
+    for (photo, light, blur, mut image, saturated) in usable {
+        let Placed { sighting, lens, place, error } = photo;
         let file = name_of(&sighting.path);
-        divide_fall_off(&mut image, place, lenses[*lens].fall_off, options);
+        if let Some((dark, Prepared { patch: Ok((without, _)), .. })) = dark {
+            let ratio = exposure_ratio(&sighting.camera, &dark.sighting.camera) as f32;
+            let values = image.data_mut().iter_mut().zip(without.data());
+            values.for_each(|(value, dark)| *value = (*value - ratio * dark).max(0.0));
+        }
+        divide_fall_off(&mut image, photo, &lenses[*lens], options);
         let up = |point: [f64; 3]| [point[0], point[1], point[2] + options.depth];
-        let shot = Shot { camera: up(place.position()), light: up(photo.light), light_intensity };
+        let [right, above] = lenses[*lens].light_offset;
+        let flash = place.in_sheet(turned([right, -above, 0.0], sighting.camera.quarter_turns));
+        let shot = Shot { camera: up(place.position()), light: up(flash), light_intensity: light.intensity };
         if let Some((field, reason)) = shot.misplaced() {
             left_out.push(LeftOut { photo: file, reason: format!("{field} {reason}"), index: sighting.index });
             continue;
         }
         warnings.extend(sighting.notes.iter().map(|note| format!("{file}: {note}")));
-        if photo.blur > BLUR {
+        if blur > BLUR {
             warnings.push(format!(
                 "{file}: is blurred by {:.1} pixels of the rectified photo; hold still, and let the camera focus",
-                photo.blur
+                blur
             ));
         }
-        if paper_error > PAPER_ERROR {
+        if light.ambient > AMBIENT && dark.is_none() {
+            warnings.push(format!(
+                "{file}: some {:.0} % of the light on its paper do not come from the flash; darken the room, or give a photo taken without flash (dark)",
+                100.0 * light.ambient
+            ));
+        }
+        let white = white_balance(light.intensity, usual);
+        if white > WHITE_BALANCE {
+            warnings.push(format!(
+                "{file}: its white balance differs from that of other photos by {:.0} %; lock it, if the camera lets you",
+                100.0 * white
+            ));
+        }
+        if light.error > PAPER_ERROR {
             warnings.push(format!(
                 "{file}: its paper is off by {:.0} % from what one light explains; keep other light out, and the sheet flat",
-                100.0 * paper_error
+                100.0 * light.error
             ));
         }
         let full = saturated.iter().filter(|&&bits| bits != 0).count();
@@ -574,8 +626,9 @@ fn assemble(
             lens: *lens,
             tags: sighting.tags.len(),
             tag_error: *error,
-            blur: photo.blur,
-            paper_error,
+            blur,
+            paper_error: light.error,
+            ambient: light.ambient,
             saturated: full as f64 / saturated.len() as f64,
         });
         photos.push(Photo { name: save::photo_name(photos.len()), shot, image, saturated });
@@ -602,15 +655,38 @@ fn marks(sighting: &Sighting, view: &View<'_>, options: &AcquireOptions) -> Mark
 }
 
 /// Takes out of a rectified photo what lens and flash lose towards the edges.
-fn divide_fall_off(image: &mut Image, place: &Place, fall_off: [f64; 2], options: &AcquireOptions) {
+fn divide_fall_off(image: &mut Image, photo: &Placed, lens: &LensReport, options: &AcquireOptions) {
     let (side, patch) = (image.width(), options.sheet.patch);
     let pitch = patch / side as f64;
+    let fall_off = FallOff { lens: lens.fall_off, flash: lens.flash_fall_off };
     let row = |(y, row): (usize, &mut [f32])| {
         for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
             let at = [(x as f64 + 0.5) * pitch - patch / 2.0, patch / 2.0 - (y as f64 + 0.5) * pitch, -options.depth];
-            let factor = 1.0 / light::loss(fall_off, place.tangent2(at));
+            let point = turned_back(photo.place.apply(at), photo.sighting.camera.quarter_turns);
+            let factor = 1.0 / fall_off.share(point, lens.light_offset);
             pixel.iter_mut().for_each(|value| *value = (f64::from(*value) * factor) as f32);
         }
     };
     image.data_mut().par_chunks_exact_mut(3 * side).enumerate().for_each(row);
+}
+
+/// Red and blue light as shares of green.
+fn ratios([red, green, blue]: [f64; 3]) -> [f64; 2] {
+    [red / green, blue / green]
+}
+
+/// The medians of [`ratios`].
+fn usual_white(light: impl Iterator<Item = [f64; 3]>) -> [f64; 2] {
+    let all: Vec<[f64; 2]> = light.map(ratios).collect();
+    [0, 1].map(|i| {
+        let mut values: Vec<f64> = all.iter().map(|ratios| ratios[i]).collect();
+        let middle = values.len() / 2;
+        if values.is_empty() { 1.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    })
+}
+
+/// How far a light's colour is from what is usual, as a share.
+fn white_balance(light: [f64; 3], usual: [f64; 2]) -> f64 {
+    let found = ratios(light);
+    (0..2).map(|i| (found[i] / usual[i] - 1.0).abs()).fold(0.0, f64::max)
 }

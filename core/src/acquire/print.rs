@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::sheet::{BAR, CELLS, Sheet};
+use super::sheet::{BAR, BELOW, CELLS, GREY_SIDE, GREYS, Sheet};
 use crate::error::{Error, Result};
 
 /// A format of paper.
@@ -39,12 +39,8 @@ impl Paper {
 
 /// Paper that printers leave white, in millimetres.
 const MARGIN: f64 = 10.0;
-/// From the ring of tags to the row of greys below it, and what everything below the ring needs.
-const BELOW: f64 = 5.0;
+/// What everything below the row of greys and it need.
 const FOOT: f64 = 88.0;
-/// Side of the grey patches, and their greys as shares of white.
-const PATCH: f64 = 9.0;
-const GREYS: [f64; 8] = [0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0];
 const TEXT: f64 = 3.6;
 const LINE: f64 = 0.25;
 const MM_PER_POINT: f64 = 25.4 / 72.0;
@@ -122,13 +118,13 @@ impl Sheet {
 
     /// Greys, bar, instructions and drawing, from `top` down.
     fn foot(&self, shapes: &mut Vec<Shape>, [center, top]: [f64; 2]) {
-        let first = center - PATCH * GREYS.len() as f64 / 2.0;
+        let first = center - GREY_SIDE * GREYS.len() as f64 / 2.0;
         for (i, &grey) in GREYS.iter().enumerate() {
-            let at = [first + i as f64 * PATCH, top];
-            shapes.push(Shape::Area(vec![rectangle(at, [PATCH; 2])], grey));
+            let at = [first + i as f64 * GREY_SIDE, top];
+            shapes.push(Shape::Area(vec![rectangle(at, [GREY_SIDE; 2])], grey));
         }
-        shapes.push(Shape::Area(frame([first, top], [PATCH * GREYS.len() as f64, PATCH], LINE), 0.5));
-        let bar = top + PATCH + 5.0;
+        shapes.push(Shape::Area(frame([first, top], [GREY_SIDE * GREYS.len() as f64, GREY_SIDE], LINE), 0.5));
+        let bar = top + GREY_SIDE + 5.0;
         shapes.push(Shape::Area(vec![rectangle([center - BAR / 2.0, bar], [BAR, 2.0])], 0.0));
         let text = format!(
             "100 mm          window {} mm, tags {} to {}",

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::camera::{Lens, Place};
+use super::light::Tone;
 use crate::cancel::CancelToken;
 use crate::color::{Transfer, apply_to_image};
 use crate::error::{Error, Result};
@@ -47,7 +48,32 @@ pub fn grey(photo: &Stored, decoding: &Decoding, cancel: &CancelToken) -> Result
     Ok(Grey { width, height, values })
 }
 
-/// The part of a photo around some of its points, linear Rec. 709.
+/// What values that were decoded as sRGB stand for, by a tone curve.
+pub struct ToneTable {
+    /// At equal steps of the square root; none for sRGB's own curve.
+    values: Vec<f32>,
+}
+
+/// Steps of a [`ToneTable`]: more than codes have.
+const TONE_STEPS: usize = 4096;
+
+impl ToneTable {
+    pub fn new(tone: Tone) -> Self {
+        let value = |i: usize| tone.corrected((i as f64 / TONE_STEPS as f64).powi(2)) as f32;
+        Self { values: if tone == Tone::default() { Vec::new() } else { (0..=TONE_STEPS).map(value).collect() } }
+    }
+
+    fn at(&self, value: f32) -> f32 {
+        if self.values.is_empty() || !(0.0..1.0).contains(&value) {
+            return value;
+        }
+        let place = value.sqrt() * TONE_STEPS as f32;
+        let i = (place as usize).min(TONE_STEPS - 1);
+        self.values[i] + (place - i as f32) * (self.values[i + 1] - self.values[i])
+    }
+}
+
+/// The part of a photo around some of its points.
 pub struct Part {
     left: usize,
     top: usize,
@@ -56,10 +82,12 @@ pub struct Part {
 }
 
 impl Part {
-    /// The part that `points`, in pixels from the upper left corner, lie in; `None` if they do not lie in the photo.
+    /// The part that `points`, in pixels from the upper left corner, lie in; `None` if they do not lie in the photo. Without a tone curve in the file's own primaries, else
+    /// corrected by it and in Rec. 709.
     pub fn around(
         photo: &Stored,
         decoding: &Decoding,
+        tone: Option<&ToneTable>,
         points: &[[f64; 2]],
         cancel: &CancelToken,
     ) -> Result<Option<Self>> {
@@ -100,8 +128,11 @@ impl Part {
                 Ok(())
             },
         )?;
+        if let Some(tone) = tone {
+            values.par_iter_mut().for_each(|value| *value = tone.at(*value));
+        }
         let mut image = Image::new(width, height, 3, values)?;
-        if let Some(to_rec709) = &decoding.to_rec709 {
+        if let (Some(to_rec709), Some(_)) = (&decoding.to_rec709, tone) {
             apply_to_image(to_rec709, &mut image);
             // A conversion mixes the channels.
             saturated.iter_mut().for_each(|bits| *bits = if *bits == 0 { 0 } else { 7 });
@@ -162,7 +193,7 @@ impl View<'_> {
 /// Every pixel is the mean over a grid of places in its square that are no farther apart than the photo's pixels.
 pub fn rectified(
     photo: &Stored,
-    decoding: &Decoding,
+    (decoding, tone): (&Decoding, &ToneTable),
     view: &View<'_>,
     (width, depth, side): (f64, f64, usize),
     cancel: &CancelToken,
@@ -174,7 +205,7 @@ pub fn rectified(
         .flat_map(|t| [[t, 1.0], [t, -1.0], [1.0, t], [-1.0, t]])
         .map(|[x, y]| view.pixel([half * x, half * y, -depth]))
         .collect();
-    let Some(part) = Part::around(photo, decoding, &outline, cancel)? else { return Ok(None) };
+    let Some(part) = Part::around(photo, decoding, Some(tone), &outline, cancel)? else { return Ok(None) };
     let pitch = width / side as f64;
     let grid = (pixels_across(view, width, depth) / side as f64).ceil().max(1.0) as usize;
     let mut values = memory::filled(0.0f32, 3 * side * side)?;

@@ -41,6 +41,8 @@ pub struct PhotoReport {
     pub blur: f64,
     /// Third quartile of its paper's deviations from what position and light explain, as a share.
     pub paper_error: f64,
+    /// Share of the light on its paper that does not come from the flash, as far as it can be told apart.
+    pub ambient: f64,
     /// Share of the rectified pixels that are saturated.
     pub saturated: f64,
 }
@@ -71,8 +73,14 @@ pub struct LensReport {
     pub focal_length_from_exif: Option<f64>,
     /// Radial distortion: coefficients of r^2 and r^4, where r is the tangent of the angle to the lens's axis.
     pub radial: [f64; 2],
-    /// Logarithm of what lens and flash lose towards the edges: coefficients of r^2 and r^4.
+    /// Logarithm of what it loses towards the edges: coefficients of r^2 and r^4.
     pub fall_off: [f64; 2],
+    /// Likewise of the flash: of s^2 and s^4, where s is the tangent of the angle to the flash's axis.
+    pub flash_fall_off: [f64; 2],
+    /// Tone curve of the camera: sRGB's code for what the camera wrote u for is u + the sum of these times sin(k pi u), k from 1 on.
+    pub tone: [f64; 4],
+    /// Where the flash is, seen from the lens: to the right and up in the photo as it was taken, in millimetres.
+    pub light_offset: [f64; 2],
 }
 
 impl LensReport {

@@ -63,6 +63,11 @@ const OWN_MARGIN: f64 = 0.02;
 pub const BAR: f64 = 100.0;
 const PRINTED_BAR: std::ops::RangeInclusive<f64> = 50.0..=200.0;
 
+/// From the ring of tags of our own sheets down to a row of grey patches, in millimetres; the side of a patch, and the patches as shares of white.
+pub const BELOW: f64 = 5.0;
+pub const GREY_SIDE: f64 = 9.0;
+pub const GREYS: [f64; 8] = [0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0];
+
 /// The smallest and the largest window, in millimetres.
 const WINDOW: std::ops::RangeInclusive<f64> = 20.0..=1000.0;
 
@@ -100,6 +105,9 @@ pub struct Sheet {
     pub window: f64,
     /// Width of the square in the window's middle that is captured, in millimetres.
     pub patch: f64,
+    /// The middles of its grey patches, from black to white, and the side of one.
+    pub(crate) greys: Vec<[f64; 2]>,
+    pub(crate) grey_side: f64,
 }
 
 impl Sheet {
@@ -111,7 +119,10 @@ impl Sheet {
         check_width("window", window)?;
         let tag = OWN_TAG * window;
         let pitch = (window + 2.0 * OWN_GAP * window + tag) / (TAGS_PER_SIDE - 1) as f64;
-        Ok(Self { tags: ring(OWN_FIRST_ID, tag, pitch), window, patch: (1.0 - 2.0 * OWN_MARGIN) * window })
+        let tags = ring(OWN_FIRST_ID, tag, pitch);
+        let y = -(tags[0].corners[0][1] + BELOW + GREY_SIDE / 2.0);
+        let greys = (0..GREYS.len()).map(|i| [GREY_SIDE * (i as f64 + 0.5 - GREYS.len() as f64 / 2.0), y]).collect();
+        Ok(Self { tags, window, patch: (1.0 - 2.0 * OWN_MARGIN) * window, greys, grey_side: GREY_SIDE })
     }
 
     /// The frame of svbrdf-diff-renderer: sixteen tags from 0 on, two tag sides from one to the next, `frame_width` millimetres from outer edge to outer edge.
@@ -122,7 +133,8 @@ impl Sheet {
         check_width("frame_width", frame_width)?;
         let tag = frame_width / (2 * TAGS_PER_SIDE - 1) as f64;
         let window = 7.0 * tag;
-        Ok(Self { tags: ring(0, tag, 2.0 * tag), window, patch: window - 0.5 * tag })
+        let tags = ring(0, tag, 2.0 * tag);
+        Ok(Self { tags, window, patch: window - 0.5 * tag, greys: Vec::new(), grey_side: GREY_SIDE })
     }
 
     /// The sheet as a printer scaled it: the bar of 100 mm came out `length` millimetres long.
@@ -138,7 +150,9 @@ impl Sheet {
         let factor = length / BAR;
         let scale = |tag: Tag| Tag { corners: tag.corners.map(|corner| corner.map(|x| x * factor)), ..tag };
         let tags = self.tags.into_iter().map(scale).collect();
-        Ok(Self { tags, window: self.window * factor, patch: self.patch * factor })
+        let greys = self.greys.into_iter().map(|at| at.map(|x| x * factor)).collect();
+        let (window, patch, grey_side) = (self.window * factor, self.patch * factor, self.grey_side * factor);
+        Ok(Self { tags, window, patch, greys, grey_side })
     }
 
     /// Side of a tag.
@@ -214,7 +228,10 @@ mod tests {
         assert!(sheet.tags[8].corners[2][0] > 76.9 && sheet.tags[8].corners[2][1] < -76.9);
         let farthest = |corner: &[f64; 2]| corner[0].abs().max(corner[1].abs());
         assert!(sheet.tags.iter().flat_map(|tag| &tag.corners).all(|corner| farthest(corner) > 56.9));
-        assert_eq!(Sheet::new(100.0).unwrap().with_printed_bar(50.0).unwrap(), Sheet::new(50.0).unwrap());
+        let halved = Sheet::new(100.0).unwrap().with_printed_bar(50.0).unwrap();
+        assert_eq!(halved.tags, Sheet::new(50.0).unwrap().tags);
+        assert_eq!((halved.window, halved.patch, halved.grey_side), (50.0, 48.0, 4.5));
+        assert_eq!((halved.greys[0], sheet.greys[7]), ([-15.75, -43.25], [31.5, -86.5]));
         let message = Sheet::new(50.0).unwrap().with_printed_bar(9.8).unwrap_err().to_string();
         assert!(message.starts_with("printed_bar: ") && message.ends_with("50 mm to 200 mm, got 9.8 mm"), "{message}");
         let message = Sheet::new(5.0).unwrap_err().to_string();

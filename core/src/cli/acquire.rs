@@ -2,6 +2,7 @@
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
 use serde_json::json;
@@ -31,9 +32,12 @@ pub struct SheetOptions {
     /// How far the sample lies below the sheet's face.
     #[arg(long, default_value = "0mm", value_name = "LENGTH", allow_hyphen_values = true)]
     depth: Millimetres,
-    /// Where the flash is, seen from the lens: to the right and up in the photos, in mm.
-    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, value_delimiter = ',', num_args = 1)]
-    light_offset: Option<Vec<f64>>,
+    /// Where the flash is, seen from the lens: to the right and up in photos as they were taken, before they were turned upright, in mm; auto: found from the paper.
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, default_value = "0,0")]
+    light_offset: LightOffset,
+    /// A photo of the sheet without flash, exposed as the others: what it shows is subtracted.
+    #[arg(long, value_name = "PHOTO")]
+    dark: Option<PathBuf>,
     /// Diffuse albedo of the paper.
     #[arg(long, default_value_t = 0.8, allow_negative_numbers = true)]
     paper_white: f64,
@@ -43,6 +47,23 @@ pub struct SheetOptions {
 enum SheetArg {
     Own,
     Tags16,
+}
+
+/// Two numbers, or none where they are to be found.
+#[derive(Clone, Copy)]
+struct LightOffset(Option<[f64; 2]>);
+
+impl FromStr for LightOffset {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        if text == "auto" {
+            return Ok(Self(None));
+        }
+        let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+        let offset = numbers.and_then(|numbers| <[f64; 2]>::try_from(numbers).ok());
+        offset.map(|offset| Self(Some(offset))).ok_or_else(|| format!("expected auto or two numbers x,y, got {text}"))
+    }
 }
 
 impl SheetOptions {
@@ -69,13 +90,8 @@ impl SheetOptions {
         options.depth = self.depth.0;
         options.size = size;
         options.max_memory = max_memory;
-        options.light_offset = match self.light_offset.as_deref() {
-            None => [0.0; 2],
-            Some(&[x, y]) => [x, y],
-            Some(other) => {
-                return Err(Error::invalid("light-offset", format!("expected two numbers x,y, got {}", other.len())));
-            }
-        };
+        options.light_offset = self.light_offset.0;
+        options.dark = self.dark.clone();
         options.paper_white = self.paper_white;
         options.cancel = cancel.clone();
         Ok(options)

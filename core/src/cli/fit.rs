@@ -184,13 +184,21 @@ pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
     let mut bar = Bar::new(args.quiet || args.json);
     let capture = match raw {
         Some(photos) => {
+            if args.capture.transfer.is_some() || args.capture.ignore_profiles {
+                let reason =
+                    "photos of a sheet are read as their files say: expected neither --transfer nor --ignore-profiles";
+                return Err(Error::invalid("transfer", reason));
+            }
             let folder = args.out.join(CAPTURE);
             let options = args.sheet.options(args.size, args.capture.budget.max_memory, cancel)?;
             let (report, _) = make_capture(&photos, &folder, &options, &mut bar)?;
             for warning in &report.warnings {
                 complain(&format!("warning: {}", printable(warning)));
             }
-            Capture::open_with(&folder, &args.capture.options(args.size).cancel(cancel.clone()))?
+            // What was acquired is linear Rec. 709.
+            let mut reading = args.capture.options(args.size).cancel(cancel.clone());
+            reading.color_space = None;
+            Capture::open_with(&folder, &reading)?
         }
         None => args.capture.open(args.size, 0, cancel)?,
     };

@@ -34,8 +34,12 @@ pub(crate) struct CameraData {
     focal_length: Option<f64>,
     /// Pixels per millimetre in the focal plane.
     focal_plane_resolution: Option<f64>,
+    /// Exposure time in seconds, times the sensitivity, over the square of the f-number.
+    pub exposure: Option<f64>,
     /// Whether the flash fired.
     pub flash_fired: Option<bool>,
+    /// By how many quarters the picture was turned clockwise after it was taken.
+    pub quarter_turns: u8,
 }
 
 impl Exif {
@@ -81,6 +85,11 @@ impl CameraData {
             focal_length_35mm: whole(tag::FOCAL_LENGTH_35MM),
             focal_length: fraction(tag::FOCAL_LENGTH),
             focal_plane_resolution: fraction(tag::FOCAL_PLANE_X_RESOLUTION).map(|resolution| resolution / unit),
+            exposure: fraction(tag::EXPOSURE_TIME)
+                .zip(fraction(tag::F_NUMBER))
+                .zip(whole(tag::SENSITIVITY))
+                .map(|((time, f_number), sensitivity)| time * sensitivity / (f_number * f_number)),
+            quarter_turns: 0,
             flash_fired: photo.number(tag::FLASH).map(|flash| flash & 1 == 1),
         }
     }

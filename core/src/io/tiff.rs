@@ -56,6 +56,9 @@ pub(super) mod tag {
     pub const ICC_PROFILE: u16 = 34675;
     pub const EXIF_DIRECTORY: u16 = 34665;
     pub const EXIF_COLOR_SPACE: u16 = 40961;
+    pub const EXPOSURE_TIME: u16 = 33434;
+    pub const F_NUMBER: u16 = 33437;
+    pub const SENSITIVITY: u16 = 34855;
     pub const FLASH: u16 = 37385;
     pub const FOCAL_LENGTH: u16 = 37386;
     pub const PIXEL_X_DIMENSION: u16 = 40962;
