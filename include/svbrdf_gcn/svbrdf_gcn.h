@@ -187,6 +187,72 @@ typedef int32_t svbrdf_gcn_method;
 #endif // __cplusplus
 
 /**
+ * What a surface is taken to be made of. All maps come out in any case.
+ */
+enum svbrdf_gcn_reflectance
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+  /**
+   * The simplest that predicts photos left out as well as the others do; isotropic with one or two photos.
+   */
+  SVBRDF_GCN_REFLECTANCE_AUTO = 0,
+  /**
+   * Lambert's law alone: specular albedo 0, roughness 1.
+   */
+  SVBRDF_GCN_REFLECTANCE_DIFFUSE = 1,
+  /**
+   * A specular albedo near 4 %, the same for all channels.
+   */
+  SVBRDF_GCN_REFLECTANCE_DIELECTRIC = 2,
+  /**
+   * Any specular albedo, metals too.
+   */
+  SVBRDF_GCN_REFLECTANCE_ISOTROPIC = 3,
+  /**
+   * Two roughnesses and a tangent: brushed metal, satin, hair.
+   */
+  SVBRDF_GCN_REFLECTANCE_ANISOTROPIC = 4,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum svbrdf_gcn_reflectance svbrdf_gcn_reflectance;
+#else
+typedef int32_t svbrdf_gcn_reflectance;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+/**
+ * What of the capture's own statements a fit may correct.
+ */
+enum svbrdf_gcn_refine
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+  /**
+   * The light where photos left out are predicted better with it, else nothing.
+   */
+  SVBRDF_GCN_REFINE_AUTO = 0,
+  /**
+   * Nothing: the stated light exactly.
+   */
+  SVBRDF_GCN_REFINE_NONE = 1,
+  /**
+   * A factor on the stated light of each photo.
+   */
+  SVBRDF_GCN_REFINE_LIGHT = 2,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum svbrdf_gcn_refine svbrdf_gcn_refine;
+#else
+typedef int32_t svbrdf_gcn_refine;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+/**
  * How stored pixel values relate to linear radiance. It is always stated, never guessed.
  */
 enum svbrdf_gcn_transfer
