@@ -9,7 +9,7 @@ use crate::capture::Capture;
 use crate::error::Result;
 use crate::fit::optim::holdout::thinned;
 use crate::fit::options::{FitOptions, Refine, Reflectance};
-use crate::progress::Control;
+use crate::progress::{Control, Stage};
 
 /// From the simplest to the richest.
 const CANDIDATES: [Reflectance; 4] =
@@ -57,7 +57,9 @@ impl Choice {
     pub fn new(capture: &Capture, options: &FitOptions, control: &mut Control<'_>) -> Result<Self> {
         let FitOptions { mut reflectance, mut refine, .. } = *options;
         let mut comparisons = Vec::new();
-        if capture.len() < PHOTOS_MIN {
+        // No more steps than the fit itself takes; without any there is nothing to compare.
+        let steps = options.steps(Stage::Direct).min(STEPS);
+        if capture.len() < PHOTOS_MIN || steps == 0 {
             if reflectance == Reflectance::Auto {
                 reflectance = Reflectance::Isotropic;
             }
@@ -65,7 +67,7 @@ impl Choice {
         }
         let (thin, _) = thinned(capture, SIDE)?;
         let mut folds = |reflectance: Reflectance, refine: Refine| {
-            let options = FitOptions { reflectance, refine, direct_steps: Some(STEPS), ..options.clone() };
+            let options = FitOptions { reflectance, refine, direct_steps: Some(steps), ..options.clone() };
             fit_folds(&thin, FoldRelief::Flat, Some(PHOTO_DEVIATION), FOLDS, &options, control)
         };
         if reflectance == Reflectance::Auto {
