@@ -20,6 +20,8 @@ const PHOTOS_MIN: usize = 3;
 const SIDE: usize = 40;
 const FOLDS: usize = 3;
 const STEPS: usize = 100;
+/// Steps below which fits are too far from their end to be compared.
+const STEPS_MIN: usize = 50;
 /// A richer reflectance has to take away more than this share of the squared error of photos left out; two lobes more than that.
 const GAIN: f64 = 0.01;
 const ANISOTROPIC_GAIN: f64 = 0.15;
@@ -57,11 +59,14 @@ impl Choice {
     pub fn new(capture: &Capture, options: &FitOptions, control: &mut Control<'_>) -> Result<Self> {
         let FitOptions { mut reflectance, mut refine, .. } = *options;
         let mut comparisons = Vec::new();
-        // No more steps than the fit itself takes; without any there is nothing to compare.
+        // No more steps than the fit itself takes.
         let steps = options.steps(Stage::Direct).min(STEPS);
-        if capture.len() < PHOTOS_MIN || steps == 0 {
+        if capture.len() < PHOTOS_MIN || steps < STEPS_MIN {
             if reflectance == Reflectance::Auto {
                 reflectance = Reflectance::Isotropic;
+            }
+            if refine == Refine::Auto {
+                refine = if capture.len() < PHOTOS_MIN { Refine::None } else { Refine::Light };
             }
             return Ok(Self { reflectance, refine, comparisons });
         }
