@@ -20,6 +20,7 @@ pub mod material;
 pub mod memory;
 pub mod metrics;
 pub mod nn;
+mod picture;
 mod pool;
 pub mod preview;
 pub mod progress;

@@ -143,12 +143,11 @@ def write_truth(folder, maps):
     write_json(folder / "material.json", material, "maps", {name: {"file": f"{name}.png", "transfer": "linear"} for name in files})
 
 
-def build_scene(maps, frame):
-    """A plane with the material, a camera and a point light; black surroundings, direct light only."""
+def direct_light_scene(samples, light_intensity, light_radius):
+    """An empty scene with a camera and a point light; black surroundings, direct light only."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
-    scene.render.resolution_x = scene.render.resolution_y = frame
     scene.render.resolution_percentage = 100
     scene.render.image_settings.file_format = "OPEN_EXR"
     scene.render.image_settings.color_depth = "32"
@@ -156,13 +155,30 @@ def build_scene(maps, frame):
     scene.render.use_compositing = scene.render.use_sequencer = False
     cycles = scene.cycles
     cycles.device = "CPU"
-    cycles.samples, cycles.seed = SAMPLES, SEED
+    cycles.samples, cycles.seed = samples, SEED
     cycles.use_adaptive_sampling = cycles.use_denoising = False
     cycles.light_sampling_threshold = 0.0
     cycles.max_bounces = 0
     cycles.pixel_filter_type = "BOX"
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
 
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(scene.camera)
+    light = bpy.data.objects.new("light", bpy.data.lights.new("light", "POINT"))
+    scene.collection.objects.link(light)
+    # Blender gives the power of a point light in W, spread over all directions: the intensity in W/sr is power / (4 pi).
+    peak = max(light_intensity)
+    light.data.energy = 4 * math.pi * peak
+    light.data.color = [channel / peak for channel in light_intensity]
+    light.data.shadow_soft_size = light_radius
+    light.data.use_soft_falloff = False
+    return scene
+
+
+def build_scene(maps, frame):
+    """A plane with the material under a camera and a light."""
+    scene = direct_light_scene(SAMPLES, LIGHT_INTENSITY, LIGHT_RADIUS)
+    scene.render.resolution_x = scene.render.resolution_y = frame
     # The plane reaches beyond the patch, where the pattern repeats, so that photos show no edge.
     reach = 1.5 * PATCH_SIZE
     mesh = bpy.data.meshes.new("sample")
@@ -173,18 +189,6 @@ def build_scene(maps, frame):
         loop.uv = (x / PATCH_SIZE + 0.5, y / PATCH_SIZE + 0.5)
     mesh.materials.append(principled_material(maps))
     scene.collection.objects.link(bpy.data.objects.new("sample", mesh))
-
-    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    light = bpy.data.objects.new("light", bpy.data.lights.new("light", "POINT"))
-    scene.collection.objects.link(light)
-    # Blender gives the power of a point light in W, spread over all directions: the intensity in W/sr is power / (4 pi).
-    peak = max(LIGHT_INTENSITY)
-    light.data.energy = 4 * math.pi * peak
-    light.data.color = [channel / peak for channel in LIGHT_INTENSITY]
-    light.data.shadow_soft_size = LIGHT_RADIUS
-    light.data.use_soft_falloff = False
 
 
 def principled_material(maps):
@@ -255,7 +259,7 @@ def project(points, camera, to_world):
 
 
 def take_photo(pose, to_world, half_tangent):
-    """The perspective photo, (H, W, 3) float32 linear radiance, row 0 at the top."""
+    """The perspective photo from `pose.camera` under a light at `pose.light`, (H, W, 3) float32 linear radiance, row 0 at the top."""
     scene = bpy.context.scene
     camera, light = scene.camera, bpy.data.objects["light"]
     camera.data.sensor_fit = "HORIZONTAL"

@@ -8,14 +8,12 @@ the field of view), `size` and `out` (a .npy of (H, W, 3) float32, for a light o
 """
 
 import json
-import math
 import sys
-import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
-from mathutils import Matrix
 
 import make_sample
 import sample_material
@@ -52,21 +50,8 @@ def paper_material(albedo):
 
 
 def build(job):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
-    scene.render.resolution_percentage = 100
-    scene.render.image_settings.file_format = "OPEN_EXR"
-    scene.render.image_settings.color_depth = "32"
-    scene.render.image_settings.color_mode = "RGB"
-    scene.render.use_compositing = scene.render.use_sequencer = False
-    cycles = scene.cycles
-    cycles.device, cycles.samples, cycles.seed = "CPU", SAMPLES, 1
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
-    cycles.light_sampling_threshold = 0.0
-    cycles.max_bounces = 0
-    cycles.pixel_filter_type = "BOX"
-
+    scene = make_sample.direct_light_scene(SAMPLES, (1.0, 1.0, 1.0), job["light_radius"])
+    scene.camera.data.clip_end = 1e5
     albedo = np.load(job["page"])
     height, width = (side / job["pixels_per_mm"] for side in albedo.shape[:2])
     left, top = -job["center"][0], job["center"][1]
@@ -93,38 +78,13 @@ def build(job):
     ground = [(-far, -far, -2 - job["depth"]), (far, -far, -2 - job["depth"]), (far, far, -2 - job["depth"]), (-far, far, -2 - job["depth"])]
     plane("table", [ground], [[(0, 0)] * 4], table)
 
-    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    scene.collection.objects.link(scene.camera)
-    scene.camera.data.clip_end = 1e5
-    light = bpy.data.objects.new("light", bpy.data.lights.new("light", "POINT"))
-    scene.collection.objects.link(light)
-    light.data.energy = 4 * math.pi
-    light.data.shadow_soft_size = job["light_radius"]
-    light.data.use_soft_falloff = False
-
 
 def render(shot):
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = shot["size"]
-    camera = scene.camera
-    camera.data.sensor_fit = "HORIZONTAL"
-    camera.data.angle = 2 * math.atan(shot["half_width"])
     right, down, forward = np.array(shot["axes"])
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.stack([right, -down, -forward], 1)
-    matrix[:3, 3] = shot["camera"]
-    camera.matrix_world = Matrix(matrix.tolist())
-    bpy.data.objects["light"].location = shot["light"]
-    with tempfile.TemporaryDirectory() as folder:
-        scene.render.filepath = str(Path(folder) / "photo.exr")
-        bpy.ops.render.render(write_still=True)
-        image = bpy.data.images.load(scene.render.filepath)
-        image.colorspace_settings.name = "Non-Color"
-        width, height = image.size
-        rgba = np.empty(width * height * 4, np.float32)
-        image.pixels.foreach_get(rgba)
-        bpy.data.images.remove(image)
-    np.save(shot["out"], rgba.reshape(height, width, 4)[::-1, :, :3])
+    pose = SimpleNamespace(camera=shot["camera"], light=shot["light"])
+    np.save(shot["out"], make_sample.take_photo(pose, np.stack([right, -down, -forward], 1), shot["half_width"]))
 
 
 def main():

@@ -2,16 +2,15 @@
 
 use super::geometry::norm;
 use super::missing::{Missing, highlight};
-use super::picture::{Color, LETTER, Picture, TEXT_LINE, wrapped};
 use super::report::{LeftOut, PhotoReport, Report};
 use super::sheet::Sheet;
 use crate::capture::Photo;
-use crate::color::Transfer;
 use crate::error::Result;
 use crate::image::Image;
 use crate::io::profile::Decoding;
 use crate::io::resize::{fit_size, shrink};
 use crate::io::{RowReader, Stored};
+use crate::picture::{Color, LETTER, Picture, TEXT_LINE, on_screen, wrapped};
 use crate::shot::Shot;
 
 /// Photos that are shown, at most.
@@ -59,7 +58,6 @@ impl Thumbnail {
             reader.read(y, row, None);
             Ok(())
         })?;
-        let on_screen = |value: f32| Transfer::Srgb.encode(value).clamp(0.0, 1.0);
         let rgb = values.chunks_exact(colors).flat_map(|pixel| [0, 1, 2].map(|c| on_screen(pixel[c % colors])));
         Ok(Self { image: Image::new(width, height, 3, rgb.collect())?, scale: width as f64 / full.0 as f64 })
     }
@@ -264,7 +262,7 @@ fn patch(photo: &Photo, side: usize, marked: bool) -> Result<Image> {
         if marked && mask != 0 {
             pixel.copy_from_slice(&SATURATED);
         } else {
-            pixel.iter_mut().for_each(|value| *value = Transfer::Srgb.encode(*value).clamp(0.0, 1.0));
+            pixel.iter_mut().for_each(|value| *value = on_screen(*value));
         }
     }
     // Enlarged by repetition where the photos are smaller than the sheet shows them.

@@ -9,7 +9,6 @@ mod geometry;
 mod light;
 mod missing;
 mod papers;
-mod picture;
 mod print;
 mod rectify;
 mod report;

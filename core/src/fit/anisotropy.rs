@@ -128,7 +128,7 @@ pub(crate) fn join(maps: Maps<f32>, vectors: &[[f32; 2]]) -> Result<Maps<f32>> {
 }
 
 /// The mean roughness and the vector of every pixel of anisotropic maps.
-pub(crate) fn unstretch(maps: &Maps<f32>) -> (Vec<f32>, Vec<[f32; 2]>) {
+fn unstretch(maps: &Maps<f32>) -> (Vec<f32>, Vec<[f32; 2]>) {
     let tangent_plane = maps.lobe().tangent_plane();
     let pixels = maps.width() * maps.height();
     let of_pixel = |pixel: usize| {

@@ -9,6 +9,7 @@ use crate::capture::Capture;
 use crate::error::Result;
 use crate::fit::optim::holdout::thinned;
 use crate::fit::options::{FitOptions, Refine, Reflectance};
+use crate::maps::Lobe;
 use crate::progress::{Control, Stage};
 
 /// From the simplest to the richest.
@@ -52,6 +53,15 @@ pub(crate) struct Choice {
 }
 
 impl Choice {
+    /// That of a network of the paper's form.
+    pub fn of_lobe(lobe: Lobe) -> Self {
+        let reflectance = match lobe {
+            Lobe::Isotropic => Reflectance::Isotropic,
+            Lobe::Anisotropic => Reflectance::Anisotropic,
+        };
+        Self { reflectance, refine: Refine::None, comparisons: Vec::new() }
+    }
+
     /// What the options ask for, and for the rest what suits the photos of `capture`.
     ///
     /// # Errors
@@ -83,8 +93,9 @@ impl Choice {
                 comparisons.push(Comparison { reflectance, error: folds.error()? });
             }
             // Paint beside metal may be predicted well without the metal.
-            let simpler = if metallic { &comparisons[2..] } else { &comparisons };
-            reflectance = simplest(simpler);
+            let allows_metal = |one: &Comparison| one.reflectance == Reflectance::Isotropic;
+            let first = if metallic { comparisons.iter().position(allows_metal).unwrap_or(0) } else { 0 };
+            reflectance = simplest(&comparisons[first..]);
         }
         if refine == Refine::Auto {
             let refined = comparisons.iter().find(|one| one.reflectance == reflectance).map(|one| one.error);

@@ -102,12 +102,13 @@ fn fit_stated(
             count if count == capture.len() => usual,
             _ => Cow::Owned(usual.select(&selection.kept)?),
         };
-        let mut state = run::run(selection.route, &fitted, options, control)?;
+        let (mut state, choice) = run::run(selection.route, &fitted, options, control)?;
         conditions::fill_unlit(capture, &mut state.maps, state.deviations.as_mut());
         let unit = capture.unit().cloned();
         let material = Material { unit, ..Material::from_maps(&state.maps, capture.patch_size())? };
         let deviations = state.deviations.take();
-        let report = FitReport::new(capture, &selection, state, &material, memory_estimate, options, started)?;
+        let report =
+            FitReport::new(capture, &selection, (state, choice), &material, memory_estimate, options, started)?;
         Ok(Fit { material, deviations, report })
     })
 }

@@ -7,7 +7,7 @@ use std::time::Instant;
 use crate::capture::{Assumed, Capture, Photo};
 use crate::color::Transfer;
 use crate::error::Result;
-use crate::fit::choice::Comparison;
+use crate::fit::choice::{Choice, Comparison};
 use crate::fit::conditions;
 use crate::fit::optim::descent::Descent;
 use crate::fit::options::FitOptions;
@@ -111,14 +111,14 @@ impl FitReport {
     pub(super) fn new(
         capture: &Capture,
         selection: &Selection<'_>,
-        state: State,
+        (state, choice): (State, Choice),
         material: &Material,
         memory_estimate: u64,
         options: &FitOptions,
         started: Instant,
     ) -> Result<Self> {
         let Selection { contradicting, kept, route } = selection;
-        let State { maps, gains, weighting, expected, choice, stages, .. } = state;
+        let State { maps, gains, weighting, expected, stages, .. } = state;
         let (mut photo_errors, mut shifts) = (Vec::new(), Vec::new());
         for photo in capture.photos() {
             let rendering = render(material, &photo.shot)?;

@@ -7,7 +7,7 @@ use super::anisotropy;
 use super::choice::Choice;
 use super::direct::{DirectFit, FoldRelief, Relief, correct, fit_direct, fit_folds, relief, relief_of_raw};
 use super::encode::{Prediction, encode};
-use super::finish::{Finished, Judgement, LEFT_OUT, Problem, Rehearsal, Start, Weighting};
+use super::finish::{Finished, Fold, Judgement, LEFT_OUT, Problem, Rehearsal, Start, Weighting};
 use super::paper::fit_network;
 use super::plan::Route;
 use crate::cancel::CancelToken;
@@ -17,7 +17,7 @@ use crate::error::Result;
 use crate::fit::options::{FitOptions, Refine, Reflectance};
 use crate::fit::report::StageReport;
 use crate::fit::verdict::Expected;
-use crate::maps::{Lobe, Maps};
+use crate::maps::Maps;
 use crate::nn::PhotoGraph;
 use crate::progress::{Control, Progress, ProgressFn, Stage};
 use crate::raw::{self, RAW};
@@ -35,30 +35,16 @@ pub(crate) struct State {
     pub weighting: Option<Weighting>,
     /// Expected errors of a new photo, where some were left out or the finish says how sure it is.
     pub expected: Option<Expected>,
-    /// What the scene was found to require.
-    pub choice: Choice,
     pub stages: Vec<StageReport>,
 }
 
 impl State {
     fn new(maps: Maps<f32>, gains: Option<Vec<f64>>, stages: Vec<StageReport>) -> Self {
-        let reflectance = match maps.lobe() {
-            Lobe::Isotropic => Reflectance::Isotropic,
-            Lobe::Anisotropic => Reflectance::Anisotropic,
-        };
-        Self {
-            maps,
-            gains,
-            deviations: None,
-            weighting: None,
-            expected: None,
-            choice: Choice { reflectance, refine: Refine::None, comparisons: Vec::new() },
-            stages,
-        }
+        Self { maps, gains, deviations: None, weighting: None, expected: None, stages }
     }
 }
 
-/// Runs the stages of `route` on all photos of `capture`.
+/// Runs the stages of `route` on all photos of `capture`; and what the scene was found to require.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if a loss or a network's values are not finite from the start.
@@ -67,102 +53,100 @@ pub(crate) fn run(
     capture: &Capture,
     options: &FitOptions,
     control: &mut Control<'_>,
-) -> Result<State> {
+) -> Result<(State, Choice)> {
     let mut stages = Vec::new();
-    if let Route::Paper(network) = route {
-        let maps = fit_network(capture, &super::targets(capture)?, network, options, &mut stages, control)?;
-        return Ok(State::new(maps, None, stages));
-    }
+    let graph = match route {
+        Route::Paper(network) => {
+            let maps = fit_network(capture, &super::targets(capture)?, network, options, &mut stages, control)?;
+            let choice = Choice::of_lobe(maps.lobe());
+            return Ok((State::new(maps, None, stages), choice));
+        }
+        Route::Direct => None,
+        Route::Graph(graph) => Some(graph),
+    };
     let choice = Choice::new(capture, options, control)?;
     let Choice { reflectance, refine, .. } = choice;
     let options = &FitOptions { reflectance, refine, ..options.clone() };
-    let state = match route {
-        // Left above.
-        Route::Direct | Route::Paper(_) => {
-            let (DirectFit { maps, gains }, _) = fit_direct(capture, Relief::Flat, options, &mut stages, control)?;
+    let state = match graph {
+        Some(graph) => fit_graph(capture, graph, options, control)?,
+        None => {
+            let (state, _) = share(capture, Relief::Flat, stages, options, control)?;
             let expected = fit_folds(capture, FoldRelief::Flat, None, LEFT_OUT, options, control)?.expected()?;
-            let gains = (refine != Refine::None).then_some(gains);
-            State { expected, ..State::new(maps, gains, stages) }
+            State { expected, ..state }
         }
-        Route::Graph(graph) => fit_graph(capture, graph, stages, options, control)?,
     };
-    Ok(State { choice, ..state })
+    Ok((state, choice))
 }
 
 /// Stages encode, direct and finish; the latter two again while that predicts photos left out better.
-fn fit_graph(
-    capture: &Capture,
-    graph: &PhotoGraph,
-    mut stages: Vec<StageReport>,
-    options: &FitOptions,
-    control: &mut Control<'_>,
-) -> Result<State> {
-    let prediction = encode(capture, graph, &mut stages, control)?;
-    let predicted = relief(&prediction.maps);
-    let mut state = State::new(prediction.maps.clone(), None, stages);
-    let share_steps = options.steps(Stage::Direct);
+fn fit_graph(capture: &Capture, graph: &PhotoGraph, options: &FitOptions, control: &mut Control<'_>) -> Result<State> {
+    let mut stages = Vec::new();
+    let Prediction { maps, raw: network, deviation } = encode(capture, graph, &mut stages, control)?;
+    let predicted = relief(&maps);
     // One photo shows the shape of the highlight over the whole image, but not both widths of a lobe.
-    let correcting = share_steps > 0 && capture.len() == 1 && options.reflectance != Reflectance::Anisotropic;
-    let sharing = share_steps > 0 && !correcting;
-    let mut taken = None;
-    if correcting {
-        state.maps = correct(capture, &prediction.maps, predicted, options, &mut state.stages, control)?;
-    } else if sharing {
-        taken = share(capture, Relief::Predicted(&predicted), &mut state, options, control)?;
-    }
+    let correcting = capture.len() == 1 && options.reflectance != Reflectance::Anisotropic;
+    let sharing = options.steps(Stage::Direct) > 0 && !correcting;
+    let (mut state, takes_relief) = if sharing {
+        share(capture, Relief::Predicted(&predicted), stages, options, control)?
+    } else if options.steps(Stage::Direct) > 0 {
+        let maps = correct(capture, &maps, predicted.clone(), options, &mut stages, control)?;
+        (State::new(maps, None, stages), false)
+    } else {
+        (State::new(maps, None, stages), false)
+    };
     if options.steps(Stage::Finish) == 0 {
         return Ok(state);
     }
     let floor = graph.config().roughness_floor;
-    let Prediction { raw: network, deviation, .. } = &prediction;
-    let problem = Problem::new(capture, network, deviation, options.reflectance, f64::from(floor))?;
-    let rehearsal = if capture.len() == 1 {
+    let problem = Problem::new(capture, &network, &deviation, options.reflectance, f64::from(floor))?;
+    let mut rehearsal = if capture.len() == 1 {
         Rehearsal::default()
     } else if sharing {
-        let relief = taken.as_deref().map_or(FoldRelief::Flat, FoldRelief::Common);
+        let relief = if takes_relief { FoldRelief::Common(&predicted) } else { FoldRelief::Flat };
         Rehearsal::of_direct(capture, fit_folds(capture, relief, None, LEFT_OUT, options, control)?, floor)
     } else {
         // The prediction hardly changes where a photo is left out.
-        Rehearsal::of_prediction(capture, network)
+        Rehearsal::of_prediction(capture, &network)
     };
     let mut judgement = problem.judge(&rehearsal, control)?;
-    state = finish(&problem, &judgement, state, graph, options, control)?;
+    state = finish(&problem, judgement, state, graph, options, control)?;
     let passes = if sharing && capture.len() > 2 { options.preset.passes() } else { 1 };
     for _ in 1..passes {
-        let reliefs: Vec<Vec<f32>> = judgement.folds.iter().map(|raw| relief_of_raw(raw)).collect();
+        let without = |fold: &Fold| relief_of_raw(&problem.without(fold, judgement.weighting, &rehearsal));
+        let reliefs: Vec<Vec<f32>> = rehearsal.folds.iter().map(without).collect();
         let folds = fit_folds(capture, FoldRelief::Each(&reliefs), None, LEFT_OUT, options, control)?;
-        let next = problem.judge(&Rehearsal::of_direct(capture, folds, floor), control)?;
-        let [before, after] = [&judgement, &next].map(|one| one.expected.map_or(0.0, |expected| expected.error));
+        rehearsal = Rehearsal::of_direct(capture, folds, floor);
+        let next = problem.judge(&rehearsal, control)?;
+        let [before, after] = [judgement, next].map(|one| one.expected.map_or(0.0, |expected| expected.error));
         tracing::debug!("photos left out, before another pass and after it: {before:.4}, {after:.4}");
         if after > (1.0 - PASS_GAIN) * before {
             break;
         }
         judgement = next;
         let found = relief(&state.maps);
-        share(capture, Relief::Found(&found), &mut state, options, control)?;
-        state = finish(&problem, &judgement, state, graph, options, control)?;
+        (state, _) = share(capture, Relief::Found(&found), state.stages, options, control)?;
+        state = finish(&problem, judgement, state, graph, options, control)?;
     }
     Ok(state)
 }
 
-/// Stage direct: what pixels have in common is fitted to the photos, from a flat start or with a relief. Gives the relief that was taken.
+/// Stage direct: what pixels have in common is fitted to the photos, from a flat start or with a relief. Whether the relief was taken, too.
 fn share(
     capture: &Capture,
     relief: Relief<'_>,
-    state: &mut State,
+    mut stages: Vec<StageReport>,
     options: &FitOptions,
     control: &mut Control<'_>,
-) -> Result<Option<Vec<f32>>> {
-    let (direct, taken) = fit_direct(capture, relief, options, &mut state.stages, control)?;
-    state.maps = direct.maps;
-    state.gains = (options.refine != Refine::None).then_some(direct.gains);
-    Ok(taken)
+) -> Result<(State, bool)> {
+    let (DirectFit { maps, gains }, takes_relief) = fit_direct(capture, relief, options, &mut stages, control)?;
+    let gains = (options.refine != Refine::None).then_some(gains);
+    Ok((State::new(maps, gains, stages), takes_relief))
 }
 
 /// Stage finish: every pixel by itself, near the maps of `state`.
 fn finish(
     problem: &Problem<'_>,
-    judgement: &Judgement,
+    judgement: Judgement,
     mut state: State,
     graph: &PhotoGraph,
     options: &FitOptions,

@@ -50,7 +50,7 @@ pub struct Surface<L> {
 
 /// A lobe that is narrower by `factor` along the tangent and wider by it across.
 #[derive(Clone, Copy, Debug)]
-struct Stretch<L> {
+pub struct Stretch<L> {
     factor: L,
     /// The tangent's x and y; it lies in the plane of the patch.
     tangent: [L; 2],
@@ -59,7 +59,7 @@ struct Stretch<L> {
 impl<L: Lanes> Stretch<L> {
     /// Of the vector that [`crate::fit::anisotropy`] describes.
     #[inline(always)]
-    fn new([p, q]: [L; 2]) -> Self {
+    pub fn new([p, q]: [L; 2]) -> Self {
         let (zero, one, half) = (L::splat(0.0), L::splat(1.0), L::splat(0.5));
         let length = p.mul_add(p, q * q).sqrt();
         let cosine2 = p / length.max(L::splat(ROUND));
@@ -165,39 +165,22 @@ impl<L: Lanes> Geometry<L> {
         Self { view, light, half, irradiance, fresnel }
     }
 
-    /// What a surface with this unit normal and GGX width sends to the camera, as parts: the radiance that the diffuse albedo `d` and the specular
-    /// albedo `s` give is `diffuse d (1 - s) + specular (s + (1 - s) fresnel)`, per channel. All 0 where it is turned away.
+    /// What a surface with this unit normal and GGX width sends to the camera, its lobe round or stretched, as parts: the radiance that the diffuse albedo `d` and the
+    /// specular albedo `s` give is `diffuse d (1 - s) + specular (s + (1 - s) fresnel)`, per channel. All 0 where it is turned away.
     #[inline(always)]
-    pub fn parts(&self, normal: [L; 3], alpha: L) -> Parts<L> {
+    pub fn parts(&self, normal: [L; 3], alpha: L, stretch: Option<Stretch<L>>) -> Parts<L> {
         let zero = L::splat(0.0);
         let (n_dot_l, n_dot_v) = (dot(normal, self.light), dot(normal, self.view));
         let facing = n_dot_l.gt(zero) & n_dot_v.gt(zero);
-        let across = cross(normal, self.half);
-        let lobe = L::select(facing, gain(dot(across, across), n_dot_l, n_dot_v, alpha).0 * n_dot_l, zero);
-        let matt = L::select(facing, n_dot_l * L::splat(INVERSE_PI), zero);
-        Parts { diffuse: scale(self.irradiance, matt), specular: scale(self.irradiance, lobe), fresnel: self.fresnel }
-    }
-
-    /// [`Geometry::parts`] of an anisotropic lobe with these GGX widths along and across `tangent`, of which the part along the normal does not count.
-    #[inline(always)]
-    pub fn anisotropic_parts(&self, normal: [L; 3], tangent: [L; 3], alpha: [L; 2]) -> Parts<L> {
-        let (zero, one) = (L::splat(0.0), L::splat(1.0));
-        let bitangent = unit(cross(normal, tangent));
-        let tangent = cross(bitangent, normal);
-        let (n_dot_l, n_dot_v) = (dot(normal, self.light), dot(normal, self.view));
-        let facing = n_dot_l.gt(zero) & n_dot_v.gt(zero);
-        let half = [dot(tangent, self.half), dot(bitangent, self.half), dot(normal, self.half)];
-        let (x, y) = (half[0] / alpha[0], half[1] / alpha[1]);
-        let inverse = one / x.mul_add(x, y.mul_add(y, half[2] * half[2]));
-        let distribution = L::splat(INVERSE_PI) * inverse * inverse / (alpha[0] * alpha[1]);
-        let mut masked = distribution;
-        let (directions, cosines) = ([self.view, self.light], [n_dot_v, n_dot_l]);
-        for k in 0..2 {
-            let (direction, cosine) = (directions[k], cosines[k]);
-            let (x, y) = (alpha[0] * dot(tangent, direction), alpha[1] * dot(bitangent, direction));
-            masked = masked / (cosine + x.mul_add(x, y.mul_add(y, cosine * cosine)).sqrt());
-        }
-        let lobe = L::select(facing, masked * n_dot_l, zero);
+        let lobe = match stretch {
+            None => {
+                let across = cross(normal, self.half);
+                gain(dot(across, across), n_dot_l, n_dot_v, alpha).0 * n_dot_l
+            }
+            // Nobody asks for its derivatives here, and nothing computes them.
+            Some(stretch) => self.stretched_lobe(normal, alpha, stretch, [n_dot_l, n_dot_v], [zero; 2]).lobe,
+        };
+        let lobe = L::select(facing, lobe, zero);
         let matt = L::select(facing, n_dot_l * L::splat(INVERSE_PI), zero);
         Parts { diffuse: scale(self.irradiance, matt), specular: scale(self.irradiance, lobe), fresnel: self.fresnel }
     }
@@ -481,7 +464,7 @@ mod tests {
             let surface = Surface::new(&random(&mut rng), None);
             for shot in shots() {
                 let geometry = Geometry::<f64>::new(&shot, 1.0, [0.3, -0.4]);
-                let parts = geometry.parts(surface.normal, surface.alpha);
+                let parts = geometry.parts(surface.normal, surface.alpha, surface.stretch);
                 for (c, code) in geometry.observe(&surface).code.into_iter().enumerate() {
                     let (d, s) = (surface.diffuse[c], surface.specular[c]);
                     let sum = parts.diffuse[c] * d * (1.0 - s) + parts.specular[c] * (s + (1.0 - s) * parts.fresnel);

@@ -86,7 +86,7 @@ pub(crate) enum Relief<'a> {
     Found(&'a [f32]),
 }
 
-/// Fits maps to all photos of `capture`. Gives the relief, too, where it was taken.
+/// Fits maps to all photos of `capture`. Whether the surface has the `relief`, too.
 ///
 /// # Errors
 /// [`Error::Cancelled`](crate::Error::Cancelled); [`Error::NonFinite`](crate::Error::NonFinite) if the photos' loss is not finite at the start.
@@ -96,7 +96,7 @@ pub(crate) fn fit_direct(
     options: &FitOptions,
     stages: &mut Vec<StageReport>,
     control: &mut Control<'_>,
-) -> Result<(DirectFit, Option<Vec<f32>>)> {
+) -> Result<(DirectFit, bool)> {
     let begun = Instant::now();
     let steps = options.steps(Stage::Direct);
     control.report(Stage::Direct, 0, steps, None)?;
@@ -107,12 +107,11 @@ pub(crate) fn fit_direct(
         }
         Relief::Predicted(_) | Relief::Flat => None,
     };
-    let relief = relief.map(<[f32]>::to_vec);
-    let mut problem = Problem::new(capture, super::targets(capture)?, relief.clone(), options)?;
+    let mut problem = Problem::new(capture, super::targets(capture)?, relief.map(<[f32]>::to_vec), options)?;
     let (direct, descent) = problem.fit_in_rounds(capture, options, control)?;
     tracing::debug!("light of the photos: {:.3?}", direct.gains);
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
-    Ok((direct, relief))
+    Ok((direct, relief.is_some()))
 }
 
 /// Corrects maps that were predicted where pixels of one colour are wrong together: specular albedo and roughness of a colour group and the common
@@ -167,8 +166,6 @@ pub(crate) fn memory(photos: usize, size: (usize, usize), relief: bool) -> u64 {
 struct Problem {
     targets: Vec<Target>,
     patch_size: f64,
-    width: usize,
-    height: usize,
     parameters: Parameters,
     prior: Prior,
     /// What the groups start from: offsets of specular albedo and roughness, in logits; and the tilt.
@@ -208,8 +205,6 @@ impl Problem {
         Ok(Self {
             targets,
             patch_size: capture.patch_size(),
-            width,
-            height,
             parameters: Parameters { reflectance, size: [width, height], layout, memberships, base, relief },
             prior: Prior {
                 sigmas,
@@ -230,8 +225,6 @@ impl Problem {
         Self {
             targets,
             patch_size: capture.patch_size(),
-            width,
-            height,
             parameters: Parameters {
                 reflectance: options.reflectance,
                 size: [width, height],
@@ -250,29 +243,15 @@ impl Problem {
     /// Groups pixels anew, by the diffuse albedo of `maps`, where the next descent begins.
     fn regroup(&mut self, maps: &Maps<f32>, seed: u64) {
         let (memberships, groups) = colour_groups(diffuse_planes(maps), GROUPS, seed);
-        let (mean_roughness, vectors) = match maps.lobe() {
-            Lobe::Isotropic => (Vec::new(), Vec::new()),
-            Lobe::Anisotropic => anisotropy::unstretch(maps),
-        };
-        let mut planes = lobe_planes(maps);
-        if maps.lobe() == Lobe::Anisotropic {
-            planes[3] = &mean_roughness;
+        let (round, vectors) = anisotropy::split(maps);
+        let planes = lobe_planes(&round);
+        let lobes = |p: usize| planes.map(|plane| f64::from(logit(inside(plane[p]))));
+        let means = group_means(&memberships, groups, lobes);
+        self.groups = means.iter().map(|mean| [0, 1, 2, 3].map(|i| mean[i] as f32 - BASE[i])).collect();
+        if !vectors.is_empty() {
+            let means = group_means(&memberships, groups, |p| vectors[p].map(f64::from));
+            self.anisotropy = means.iter().map(|mean| mean.map(|value| value as f32)).collect();
         }
-        self.anisotropy = group_means(&memberships, groups, &vectors);
-        let mut sums = vec![([0.0f64; 4], 0.0f64); groups];
-        for (p, membership) in memberships.iter().enumerate() {
-            for &(group, weight) in membership {
-                let (sum, total) = &mut sums[group as usize];
-                *total += f64::from(weight);
-                for (sum, plane) in sum.iter_mut().zip(planes) {
-                    *sum += f64::from(weight) * f64::from(logit(inside(plane[p])));
-                }
-            }
-        }
-        let offset = |(sum, total): &([f64; 4], f64)| {
-            [0, 1, 2, 3].map(|i| (sum[i] / total.max(f64::MIN_POSITIVE)) as f32 - BASE[i])
-        };
-        self.groups = sums.iter().map(offset).collect();
         self.prior.diffuse = logits(diffuse_planes(maps)).collect();
         self.parameters.memberships = memberships;
         self.parameters.layout.groups = groups;
@@ -367,25 +346,29 @@ impl Problem {
 
     fn empty_maps(&self) -> Result<Maps<f32>> {
         let lobe = if self.parameters.layout.anisotropic { Lobe::Anisotropic } else { Lobe::Isotropic };
-        Maps::new(lobe, self.width, self.height, vec![0.0; lobe.planes() * self.parameters.layout.pixels])
+        let [width, height] = self.parameters.size;
+        Maps::new(lobe, width, height, vec![0.0; lobe.planes() * width * height])
     }
 }
 
-/// The mean of some vectors over the pixels of each group; none of none.
-fn group_means(memberships: &[Membership], groups: usize, vectors: &[[f32; 2]]) -> Vec<[f32; 2]> {
-    if vectors.is_empty() {
-        return Vec::new();
-    }
-    let mut sums = vec![[0.0f64; 3]; groups];
-    for (membership, vector) in memberships.iter().zip(vectors) {
-        for &(group, share) in membership {
-            let sum = &mut sums[group as usize];
-            sum[0] += f64::from(share * vector[0]);
-            sum[1] += f64::from(share * vector[1]);
-            sum[2] += f64::from(share);
+/// The mean over the pixels of each group.
+fn group_means<const N: usize>(
+    memberships: &[Membership],
+    groups: usize,
+    of_pixel: impl Fn(usize) -> [f64; N],
+) -> Vec<[f64; N]> {
+    let mut sums = vec![([0.0f64; N], 0.0f64); groups];
+    for (p, membership) in memberships.iter().enumerate() {
+        let values = of_pixel(p);
+        for &(group, weight) in membership {
+            let (sum, total) = &mut sums[group as usize];
+            *total += f64::from(weight);
+            for (sum, value) in sum.iter_mut().zip(values) {
+                *sum += f64::from(weight) * value;
+            }
         }
     }
-    sums.iter().map(|sum| [0, 1].map(|i| (sum[i] / sum[2].max(f64::MIN_POSITIVE)) as f32)).collect()
+    sums.iter().map(|(sum, total)| sum.map(|sum| sum / total.max(f64::MIN_POSITIVE))).collect()
 }
 
 /// The planes of specular albedo, and that of roughness.

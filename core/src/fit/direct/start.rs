@@ -5,7 +5,11 @@
 //!
 //! Not from the paper.
 
-#![allow(clippy::needless_range_loop, reason = "closures would not be compiled for the processor's lanes")]
+#![allow(
+    clippy::manual_map,
+    clippy::needless_range_loop,
+    reason = "closures would not be compiled for the processor's lanes"
+)]
 
 use rayon::prelude::*;
 
@@ -14,7 +18,7 @@ use super::parameters::sum;
 use crate::brdf::real::{Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::capture::{Capture, Photo};
 use crate::fit::options::Reflectance;
-use crate::fit::shading::{Geometry, Parts, bundle, saturated, unbundle};
+use crate::fit::shading::{Geometry, Parts, Stretch, bundle, saturated, unbundle};
 use crate::render::encode;
 
 /// Pixels of a group that are looked at.
@@ -115,32 +119,24 @@ impl<L: Lanes> View<L> {
 fn shade<L: Lanes>(views: &[View<L>], surface: &Facing<L>, alpha: L, parts: &mut Vec<Parts<L>>) {
     parts.clear();
     for view in views {
-        parts.push(match surface.tangent {
-            None => view.geometry.parts(surface.normal, alpha),
-            Some(tangent) => {
-                let alphas = [alpha / surface.stretch, alpha * surface.stretch];
-                view.geometry.anisotropic_parts(surface.normal, tangent, alphas)
-            }
-        });
+        parts.push(view.geometry.parts(surface.normal, alpha, surface.stretch));
     }
 }
 
 /// A [`Shape`] as it is shaded.
 struct Facing<L> {
     normal: [L; 3],
-    tangent: Option<[L; 3]>,
-    /// By what the lobe is narrower along the tangent and wider across.
-    stretch: L,
+    stretch: Option<Stretch<L>>,
 }
 
 impl<L: Lanes> Facing<L> {
     #[inline(always)]
     fn new(shape: Shape, slopes: [L; 2]) -> Self {
-        let [p, q] = shape.anisotropy.unwrap_or_default();
-        let angle = 0.5 * q.atan2(p);
-        let tangent = [L::splat(angle.cos()), L::splat(angle.sin()), L::splat(0.0)];
-        let tangent = if shape.anisotropy.is_some() { Some(tangent) } else { None };
-        Self { normal: normal(slopes, shape.tilt), tangent, stretch: L::splat(p.hypot(q).exp()) }
+        let stretch = match shape.anisotropy {
+            None => None,
+            Some([p, q]) => Some(Stretch::new([L::splat(p), L::splat(q)])),
+        };
+        Self { normal: normal(slopes, shape.tilt), stretch }
     }
 }
 

@@ -60,14 +60,12 @@ pub(crate) struct Start<'a> {
 }
 
 /// What photos that were left out say.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Judgement {
     /// The weighting that predicts them best.
     pub weighting: Weighting,
     /// Expected errors of a new photo; `None` if none was left out.
     pub expected: Option<Expected>,
-    /// Nine planes of raw values that are found on the rehearsal's pixels without the photo of each fold.
-    pub folds: Vec<Vec<f32>>,
 }
 
 /// What a finish gives.
@@ -132,8 +130,7 @@ impl<'a> Problem<'a> {
     pub fn judge(&self, rehearsal: &Rehearsal, control: &mut Control<'_>) -> Result<Judgement> {
         let weighting = self.choose(rehearsal, control)?;
         tracing::debug!("{weighting:?}");
-        let folds = rehearsal.folds.iter().map(|fold| self.without(fold, weighting, rehearsal)).collect();
-        Ok(Judgement { weighting, expected: self.expected(weighting, rehearsal), folds })
+        Ok(Judgement { weighting, expected: self.expected(weighting, rehearsal) })
     }
 
     /// Fits every pixel, with `start` as the prior's mean, by up to `steps` Levenberg-Marquardt steps.
@@ -143,7 +140,7 @@ impl<'a> Problem<'a> {
     pub fn finish(
         &self,
         start: Start<'_>,
-        judgement: &Judgement,
+        judgement: Judgement,
         steps: usize,
         stages: &mut Vec<StageReport>,
         control: &mut Control<'_>,
@@ -261,18 +258,22 @@ mod tests {
         Rehearsal { size: [WIDTH, HEIGHT], pixels: (0..PIXELS).collect(), folds }
     }
 
-    fn run(capture: &Capture, raw: &[f32], deviation: f32) -> (Finished, Judgement) {
+    /// The finish of `capture` from `raw`, with which weighting, and what it finds where a photo is left out.
+    fn run(capture: &Capture, raw: &[f32], deviation: f32) -> (Finished, Weighting, Vec<Vec<f32>>) {
         let mut callback = |_: &Progress| ControlFlow::Continue(());
         let mut control = Control::new(&mut callback, CancelToken::new());
         let mut stages = Vec::new();
         let deviation = vec![deviation; raw.len()];
         let problem = Problem::new(capture, raw, &deviation, Reflectance::Isotropic, -0.9).unwrap();
-        let judgement = problem.judge(&rehearsal(capture, raw), &mut control).unwrap();
+        let rehearsal = rehearsal(capture, raw);
+        let judgement = problem.judge(&rehearsal, &mut control).unwrap();
+        let weighting = judgement.weighting;
+        let folds = rehearsal.folds.iter().map(|fold| problem.without(fold, weighting, &rehearsal)).collect();
         let shots: Vec<Shot> = capture.photos().iter().map(|photo| photo.shot).collect();
         let start = Start { raw, anisotropy: &[], shots: &shots };
-        let finished = problem.finish(start, &judgement, 20, &mut stages, &mut control).unwrap();
+        let finished = problem.finish(start, judgement, 20, &mut stages, &mut control).unwrap();
         assert!(stages[0].best_loss <= stages[0].first_loss);
-        (finished, judgement)
+        (finished, weighting, folds)
     }
 
     fn rms(a: &[f32], b: &[f32], planes: std::ops::Range<usize>) -> f32 {
@@ -290,8 +291,7 @@ mod tests {
     fn photos_correct_a_wrong_prediction() {
         let truth = truth();
         let start = disturbed(&truth, 0.2);
-        let (Finished { raw, deviation, expected }, Judgement { weighting, folds, .. }) =
-            run(&capture(&truth, 8), &start, 0.12);
+        let (Finished { raw, deviation, expected }, weighting, folds) = run(&capture(&truth, 8), &start, 0.12);
         assert!(
             folds.len() == 8 && folds.iter().all(|fold| rms(fold, &truth, 0..RAW) < 0.5 * rms(&start, &truth, 0..RAW))
         );
@@ -312,7 +312,7 @@ mod tests {
         dark.shot.light_intensity = [1e-9; 3];
         dark.image = Image::new(WIDTH, HEIGHT, 3, vec![0.0; 3 * PIXELS]).unwrap();
         let black = Capture::new(vec![dark], 2.0, Transfer::Linear).unwrap();
-        let (Finished { raw, deviation, expected }, _) = run(&black, &truth, 0.1);
+        let (Finished { raw, deviation, expected }, ..) = run(&black, &truth, 0.1);
         assert!(expected.estimated, "{expected:?}");
         assert!(rms(&raw, &truth, 0..RAW) < 1e-6);
         // Nor is anything surer than the network is.
@@ -327,9 +327,9 @@ mod tests {
             let mut callback = |_: &Progress| answer;
             let mut control = Control::new(&mut callback, CancelToken::new());
             let problem = Problem::new(&capture, &truth, raw, Reflectance::Isotropic, -1.0)?;
-            let judgement = Judgement { weighting: Weighting::START, expected: None, folds: Vec::new() };
+            let judgement = Judgement { weighting: Weighting::START, expected: None };
             let start = Start { raw: &truth, anisotropy: &[], shots: &shots(2) };
-            problem.finish(start, &judgement, 1, &mut Vec::new(), &mut control)
+            problem.finish(start, judgement, 1, &mut Vec::new(), &mut control)
         };
         assert!(matches!(attempt(&truth[1..], ControlFlow::Continue(())), Err(Error::ShapeMismatch { .. })));
         assert!(matches!(attempt(&truth, ControlFlow::Break(())), Err(Error::Cancelled)));

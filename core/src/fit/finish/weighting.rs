@@ -117,46 +117,36 @@ impl Problem<'_> {
         total.0 / f64::max(total.1, 1.0)
     }
 
+    /// Some pixels, to be fitted without the photo of `fold`.
+    fn pixels_without<'p>(&'p self, fold: &'p Fold, places: &'p [Place], weighting: Weighting) -> Pixels<'p> {
+        Pixels {
+            problem: self,
+            places,
+            so_far: &fold.raw,
+            anisotropy: &fold.anisotropy,
+            shots: &fold.shots,
+            without: Some(fold.without),
+            weighting,
+            steps: CHOICE_STEPS,
+        }
+    }
+
     /// What the photo that `fold` left out would show if it was taken as `shot`: some pixels, and their codes.
     fn predict(&self, fold: &Fold, shot: &Shot, weighting: Weighting, rehearsal: &Rehearsal) -> Vec<(usize, [f32; 3])> {
         let [width, height] = rehearsal.size;
         let (_, sample) = grid(width, height, CHOICE_SIDE);
         let places: Vec<Place> =
             sample.into_iter().map(|place| Place { pixel: rehearsal.pixels[place], so_far: place }).collect();
-        let predict = |places: &[Place]| {
-            let pixels = Pixels {
-                problem: self,
-                places,
-                so_far: &fold.raw,
-                anisotropy: &fold.anisotropy,
-                shots: &fold.shots,
-                without: Some(fold.without),
-                weighting,
-                steps: CHOICE_STEPS,
-            };
-            f32::run(Predict(pixels, shot))
-        };
+        let predict = |places: &[Place]| f32::run(Predict(self.pixels_without(fold, places, weighting), shot));
         let codes: Vec<Vec<[f32; 3]>> = places.par_chunks(PART).map(predict).collect();
         places.iter().map(|place| place.pixel).zip(codes.into_iter().flatten()).collect()
     }
 
     /// Nine planes of raw values on all pixels of `rehearsal`, found without the photo of `fold`.
-    pub(super) fn without(&self, fold: &Fold, weighting: Weighting, rehearsal: &Rehearsal) -> Vec<f32> {
+    pub fn without(&self, fold: &Fold, weighting: Weighting, rehearsal: &Rehearsal) -> Vec<f32> {
         let place = |(so_far, &pixel): (usize, &usize)| Place { pixel, so_far };
         let places: Vec<Place> = rehearsal.pixels.iter().enumerate().map(place).collect();
-        let fit = |places: &[Place]| {
-            let pixels = Pixels {
-                problem: self,
-                places,
-                so_far: &fold.raw,
-                anisotropy: &fold.anisotropy,
-                shots: &fold.shots,
-                without: Some(fold.without),
-                weighting,
-                steps: CHOICE_STEPS,
-            };
-            f32::run(Fit(pixels)).raw
-        };
+        let fit = |places: &[Place]| f32::run(Fit(self.pixels_without(fold, places, weighting))).raw;
         let values: Vec<Vec<[f32; RAW]>> = places.par_chunks(PART).map(fit).collect();
         (0..RAW).flat_map(|i| values.iter().flatten().map(move |values| values[i])).collect()
     }

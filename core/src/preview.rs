@@ -4,12 +4,12 @@ use std::path::Path;
 
 use crate::color::Transfer;
 use crate::error::{Error, Result};
-use crate::font;
 use crate::image::Image;
 use crate::io::png8;
 use crate::io::resize::{fit_size, shrink};
 use crate::material::Material;
 use crate::metrics::photo_rmse;
+use crate::picture::{Picture, on_screen};
 use crate::render::render;
 use crate::shot::Shot;
 
@@ -17,9 +17,8 @@ use crate::shot::Shot;
 const PANEL: usize = 256;
 /// Between panels and around them.
 const MARGIN: usize = 12;
-/// Height of the line above a panel, and by what its characters are enlarged.
+/// Height of the line above a panel.
 const LABEL: usize = 24;
-const FONT_SCALE: usize = 2;
 const BACKGROUND: f32 = 0.12;
 const INK: f32 = 0.92;
 
@@ -70,7 +69,7 @@ pub fn preview(material: &Material, comparisons: &[Comparison<'_>], new_view: &I
     let width = MARGIN + left + large.image.width() + MARGIN;
     let height = MARGIN + rows.iter().map(|row| down(row)).sum::<usize>().max(large.image.height() + LABEL + MARGIN);
 
-    let mut canvas = Image::new(width, height, 3, vec![BACKGROUND; width * height * 3])?;
+    let mut canvas = Picture::new(width, height, [BACKGROUND; 3])?;
     let mut y = MARGIN;
     for row in &rows {
         let mut x = MARGIN;
@@ -81,7 +80,7 @@ pub fn preview(material: &Material, comparisons: &[Comparison<'_>], new_view: &I
         y += down(row);
     }
     large.draw(&mut canvas, MARGIN + left, MARGIN);
-    Ok(canvas)
+    Ok(canvas.into_image())
 }
 
 /// The bytes of a PNG file with the maps of a material side by side and a view of it under a light at the upper left, for hosts that show
@@ -110,10 +109,6 @@ pub(crate) fn new_view(shot: &Shot) -> Shot {
 struct Panel {
     label: String,
     image: Image,
-}
-
-fn on_screen(value: f32) -> f32 {
-    Transfer::Srgb.encode(value).clamp(0.0, 1.0)
 }
 
 fn as_stored(value: f32) -> f32 {
@@ -154,29 +149,10 @@ fn panel(label: &str, side: usize, image: &Image, screen: impl Fn(f32) -> f32) -
 
 impl Panel {
     /// Draws the panel with its upper left corner, the label's, at (x, y).
-    fn draw(&self, canvas: &mut Image, x: usize, y: usize) {
-        let advance = (font::WIDTH + 1) * FONT_SCALE;
-        let characters = (self.image.width() / advance).min(self.label.chars().count());
-        for (i, character) in self.label.chars().take(characters).enumerate() {
-            for row in 0..font::HEIGHT * FONT_SCALE {
-                for column in 0..font::WIDTH * FONT_SCALE {
-                    if font::is_set(character, row / FONT_SCALE, column / FONT_SCALE) {
-                        put(canvas, x + i * advance + column, y + row, &[INK; 3]);
-                    }
-                }
-            }
-        }
-        let stride = self.image.width() * 3;
-        for (row, pixels) in self.image.data().chunks_exact(stride).enumerate() {
-            put(canvas, x, y + LABEL + row, pixels);
-        }
+    fn draw(&self, canvas: &mut Picture, x: usize, y: usize) {
+        canvas.text([x, y], self.image.width(), &self.label, [INK; 3]);
+        canvas.image(&self.image, [x, y + LABEL]);
     }
-}
-
-/// Writes values to a row of an RGB canvas, from column `x` on.
-fn put(canvas: &mut Image, x: usize, y: usize, values: &[f32]) {
-    let start = (y * canvas.width() + x) * 3;
-    canvas.data_mut()[start..start + values.len()].copy_from_slice(values);
 }
 
 #[cfg(test)]

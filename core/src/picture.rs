@@ -1,5 +1,6 @@
 //! A picture to draw on: lines, dots, images and words, in values for the screen.
 
+use crate::color::Transfer;
 use crate::error::Result;
 use crate::font;
 use crate::image::Image;
@@ -7,6 +8,11 @@ use crate::memory;
 
 /// A colour for the screen, 0 to 1.
 pub type Color = [f32; 3];
+
+/// A linear value as a screen shows it.
+pub fn on_screen(value: f32) -> f32 {
+    Transfer::Srgb.encode(value).clamp(0.0, 1.0)
+}
 
 /// By what letters are enlarged.
 const FONT_SCALE: usize = 2;
@@ -30,14 +36,25 @@ impl Picture {
         self.image
     }
 
+    /// A pixel; `None` beside the picture.
+    fn pixel(&mut self, x: isize, y: isize) -> Option<&mut [f32]> {
+        let (width, height) = (self.image.width() as isize, self.image.height() as isize);
+        let inside = (0..width).contains(&x) && (0..height).contains(&y);
+        let start = 3 * (y * width + x);
+        inside.then(|| &mut self.image.data_mut()[start as usize..start as usize + 3])
+    }
+
     /// Mixes `share` of a colour into a pixel; nothing happens beside the picture.
     fn mix(&mut self, x: isize, y: isize, color: Color, share: f32) {
-        let (width, height) = (self.image.width() as isize, self.image.height() as isize);
-        if (0..width).contains(&x) && (0..height).contains(&y) {
-            let start = 3 * (y * width + x) as usize;
-            for (value, color) in self.image.data_mut()[start..start + 3].iter_mut().zip(color) {
-                *value += share * (color - *value);
-            }
+        for (value, color) in self.pixel(x, y).into_iter().flatten().zip(color) {
+            *value += share * (color - *value);
+        }
+    }
+
+    /// Gives a pixel a colour; nothing happens beside the picture.
+    fn put(&mut self, x: usize, y: usize, color: &[f32]) {
+        if let Some(pixel) = self.pixel(x as isize, y as isize) {
+            pixel.copy_from_slice(color);
         }
     }
 
@@ -93,7 +110,7 @@ impl Picture {
     pub fn area(&mut self, [x, y]: [usize; 2], [width, height]: [usize; 2], color: Color) {
         for row in y..y + height {
             for column in x..x + width {
-                self.mix(column as isize, row as isize, color, 1.0);
+                self.put(column, row, &color);
             }
         }
     }
@@ -102,7 +119,7 @@ impl Picture {
     pub fn image(&mut self, image: &Image, [x, y]: [usize; 2]) {
         for (row, pixels) in image.data().chunks_exact(3 * image.width()).enumerate() {
             for (column, pixel) in pixels.chunks_exact(3).enumerate() {
-                self.mix((x + column) as isize, (y + row) as isize, [pixel[0], pixel[1], pixel[2]], 1.0);
+                self.put(x + column, y + row, pixel);
             }
         }
     }
@@ -113,7 +130,7 @@ impl Picture {
             for row in 0..font::HEIGHT * FONT_SCALE {
                 for column in 0..font::WIDTH * FONT_SCALE {
                     if font::is_set(character, row / FONT_SCALE, column / FONT_SCALE) {
-                        self.mix((x + i * LETTER + column) as isize, (y + row) as isize, color, 1.0);
+                        self.put(x + i * LETTER + column, y + row, &color);
                     }
                 }
             }
