@@ -2,6 +2,8 @@
 
 use std::ops::ControlFlow;
 
+use rayon::prelude::*;
+
 pub use crate::cancel::CancelToken;
 use crate::error::{Error, Result};
 
@@ -82,6 +84,25 @@ impl<'a> Control<'a> {
     pub fn report(&mut self, stage: Stage, step: usize, steps: usize, loss: Option<f64>) -> Result<()> {
         self.last = Progress { stage, step, steps, loss };
         self.poll()
+    }
+
+    /// What `work` makes of each of `items`, in their order: as many at a time as the pool has threads. It is polled between them.
+    ///
+    /// # Errors
+    /// As [`Control::report`], and those of `work`.
+    pub(crate) fn each<T: Sync, U: Send>(
+        &mut self,
+        items: &[T],
+        work: impl Fn(&T, &mut Control<'_>) -> Result<U> + Sync,
+    ) -> Result<Vec<U>> {
+        let mut done = Vec::with_capacity(items.len());
+        for items in items.chunks(rayon::current_num_threads()) {
+            self.poll()?;
+            let token = &self.token;
+            let one = |item: &T| Control::silently(token.clone(), |control| work(item, control));
+            done.extend(items.par_iter().map(one).collect::<Result<Vec<U>>>()?);
+        }
+        Ok(done)
     }
 
     /// To be called between the parts of a step that takes longer than some 100 ms.

@@ -19,8 +19,6 @@
 //!
 //! Everything stays finite while light intensity over squared distance is below 1e12.
 
-#[cfg(target_arch = "x86_64")]
-mod avx2;
 pub mod fresnel;
 pub mod masking;
 pub mod ndf;

@@ -89,11 +89,10 @@ pub(crate) fn fit_folds(
         FoldRelief::Common(relief) => Some(thinned_planes(relief, 2, &pixels)),
         FoldRelief::Flat | FoldRelief::Each(_) => None,
     };
-    let mut folds = Vec::new();
     // A single photo cannot be left out.
     let count = if capture.len() > 1 { capture.len() } else { 0 };
-    for (fold, without) in left_out(count, most).enumerate() {
-        control.poll()?;
+    let left_out: Vec<(usize, usize)> = left_out(count, most).enumerate().collect();
+    let folds = control.each(&left_out, |&(fold, without), control| {
         let rest: Vec<usize> = (0..capture.len()).filter(|&photo| photo != without).collect();
         let rest = thin.select(&rest)?;
         let relief = match relief {
@@ -102,14 +101,13 @@ pub(crate) fn fit_folds(
         };
         let mut problem = Problem::new(&rest, crate::fit::targets(&rest)?, relief, options)?;
         problem.prior.photo = photo_deviation.unwrap_or(problem.prior.photo);
-        let fit = |control: &mut Control<'_>| problem.fit_in_rounds(&rest, options, control);
-        let (mut direct, _) = Control::silently(options.cancel.clone(), fit)?;
+        let (mut direct, _) = problem.fit_in_rounds(&rest, options, control)?;
         let gain = match options.refine {
             Refine::None => 1.0,
             Refine::Auto | Refine::Light => light::held_out_gain(&thin, without, &direct.maps)?,
         };
         direct.gains.insert(without, gain);
-        folds.push((without, direct));
-    }
+        Ok((without, direct))
+    })?;
     Ok(Folds { thinned: thin, pixels, folds })
 }

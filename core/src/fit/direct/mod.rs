@@ -30,7 +30,7 @@ use crate::capture::Capture;
 use crate::error::Result;
 use crate::fit::anisotropy;
 use crate::fit::optim::descent::{Descent, Settings, descend};
-use crate::fit::optim::holdout::{REHEARSAL_SIDE, grid};
+use crate::fit::optim::holdout::{LEFT_OUT, REHEARSAL_SIDE, grid};
 use crate::fit::options::{FitOptions, Refine, Reflectance};
 use crate::fit::report::StageReport;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, ROUGHNESS_PLANE};
@@ -154,9 +154,10 @@ pub(crate) fn memory(photos: usize, size: (usize, usize), relief: bool) -> u64 {
     let rehearsal = if relief && photos > 2 {
         let ([across, down], _) = grid(size.0, size.1, REHEARSAL_SIDE);
         let part = (across, down);
-        // The photos themselves, encoded, of every rehearsal, and of the one that runs.
-        let copies = (relief::FOLDS.min(photos) + 3) as u64 * photos as u64;
-        copies * encoded(part) + PROBLEM * pixels(part) + working(part)
+        // The photos themselves; and of every rehearsal that runs these again, encoded too.
+        let at_once = LEFT_OUT.min(rayon::current_num_threads()) as u64;
+        let photos = photos as u64 * encoded(part);
+        photos + at_once * (2 * photos + PROBLEM * pixels(part) + working(part))
     } else {
         0
     };
@@ -197,7 +198,6 @@ impl Problem {
             anisotropy: &|s| unit * SEARCH_EVIDENCE * square(s) / anisotropy::GROUP_DEVIATION.powi(2),
         };
         let (lobes, tilt) = search(capture, &memberships, groups, relief.as_deref(), reflectance, &prior);
-        tracing::debug!("start: {lobes:?}, tilt {tilt:?}");
         let diffuse = start::diffuse(capture, &memberships, &lobes, relief.as_deref(), tilt);
         let start = |value: f32| logit(START_SHARE * value + START_LEAST);
         let diffuse = (0..3).flat_map(|c| diffuse.iter().map(move |d| start(d[c]))).collect();

@@ -1,19 +1,17 @@
 //! Whether the surface has the relief that the network predicts.
 
-use super::Problem;
+use super::folds::{FoldRelief, fit_folds};
 use crate::capture::Capture;
 use crate::error::Result;
-use crate::fit::optim::holdout::{REHEARSAL_SIDE, left_out, thinned, thinned_planes};
 use crate::fit::options::FitOptions;
 use crate::maps::{Maps, NORMAL_PLANE};
-use crate::progress::{CancelToken, Control};
+use crate::progress::{Control, Stage};
 use crate::raw::{NORMAL, RAW};
-use crate::render::{Target, photo_loss};
 
 /// Photos left out at most, one at a time, to choose between a flat surface and a given relief; and steps of those fits.
-pub(super) const FOLDS: usize = 3;
+const FOLDS: usize = 3;
 const STEPS: usize = 100;
-/// Share of the flat surface's error that the relief has to take away.
+/// Share of the flat surface's squared error that the relief has to take away.
 const GAIN: f64 = 0.1;
 /// Least z of a normal whose slope is taken as it is.
 const STEEPEST: f32 = 0.2;
@@ -25,26 +23,12 @@ pub(super) fn predicts_better(
     options: &FitOptions,
     control: &mut Control<'_>,
 ) -> Result<bool> {
-    let (capture, pick) = thinned(capture, REHEARSAL_SIDE)?;
-    let all: Vec<Target> = crate::fit::targets(&capture)?;
-    let left_out = left_out(all.len(), FOLDS);
-    let rests: Vec<Vec<Target>> =
-        left_out.clone().map(|without| [&all[..without], &all[without + 1..]].concat()).collect();
-    let error = |relief: Option<Vec<f32>>, control: &mut Control<'_>| -> Result<f64> {
-        let mut problem = Problem::new(&capture, all.clone(), relief, options)?;
-        let mut error = 0.0;
-        for (rest, without) in rests.iter().zip(left_out.clone()) {
-            control.poll()?;
-            problem.targets.clone_from(rest);
-            let (maps, _) = Control::silently(CancelToken::new(), |control| problem.fit(STEPS, [0; 2], control))?;
-            error += photo_loss(&maps, problem.patch_size, &all[without..=without], None)?;
-        }
-        Ok(error)
-    };
-    let flat = error(None, control)?;
-    let bumpy = error(Some(thinned_planes(relief, 2, &pick)), control)?;
-    tracing::debug!("photos left out, flat and with the network's relief: {flat:.3}, {bumpy:.3}");
-    Ok(bumpy < (1.0 - GAIN) * flat)
+    let steps = options.steps(Stage::Direct).min(STEPS);
+    let options = FitOptions { direct_steps: Some(steps), ..options.clone() };
+    let mut error = |relief: FoldRelief<'_>| fit_folds(capture, relief, None, FOLDS, &options, control)?.error();
+    let (flat, bumpy) = (error(FoldRelief::Flat)?, error(FoldRelief::Common(relief))?);
+    tracing::debug!("photos left out, flat and with the network's relief: {flat:.4}, {bumpy:.4}");
+    Ok(bumpy.powi(2) < (1.0 - GAIN) * flat.powi(2))
 }
 
 /// The slopes of the normals of `maps`, two planes without their means: how the sample leans is found elsewhere.

@@ -28,9 +28,6 @@ use pixel::{Fit, Fitted, Pixels, Place};
 pub(crate) use rehearsal::{Fold, Rehearsal};
 pub(crate) use weighting::Weighting;
 
-/// Photos left out at most, one at a time.
-pub(super) const LEFT_OUT: usize = 4;
-
 /// The photos, and what is known before them: nine planes each of raw values and of standard deviations.
 pub(crate) struct Problem<'a> {
     capture: &'a Capture,

@@ -1,10 +1,9 @@
 //! Maps that have not seen one photo, on some pixels: by predicting that photo from them the finish chooses how to weight what it knows.
 
-use super::LEFT_OUT;
 use crate::capture::Capture;
 use crate::fit::anisotropy;
 use crate::fit::direct::{DirectFit, Folds, light};
-use crate::fit::optim::holdout::{REHEARSAL_SIDE, grid, left_out, thinned_planes};
+use crate::fit::optim::holdout::{LEFT_OUT, REHEARSAL_SIDE, grid, left_out, thinned_planes};
 use crate::raw::{RAW, encode};
 use crate::shot::Shot;
 

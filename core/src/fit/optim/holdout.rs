@@ -6,6 +6,8 @@ use crate::image::Image;
 
 /// Pixels along the longer side on which photos that are left out judge a fit.
 pub(crate) const REHEARSAL_SIDE: usize = 64;
+/// How many of them are left out at most, one at a time.
+pub(crate) const LEFT_OUT: usize = 4;
 
 /// The photos of `count` that are left out, one at a time: `most` of them at most, evenly spread.
 pub(crate) fn left_out(count: usize, most: usize) -> impl Iterator<Item = usize> + Clone {

@@ -4,6 +4,15 @@
 //! by element. [`Real`] are the two element types of maps, and [`Real::run`] picks the widest bundle that the processor at hand
 //! computes on. Everything is `#[inline(always)]`, so that a kernel becomes one straight piece of code.
 
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+#[cfg(target_arch = "x86_64")]
+mod powers;
+#[cfg(all(test, target_arch = "x86_64"))]
+mod tests;
+
 use std::fmt::Debug;
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};
 
@@ -12,7 +21,7 @@ mod sealed {
     impl Sealed for f32 {}
     impl Sealed for f64 {}
 }
-pub(super) use sealed::Sealed;
+use sealed::Sealed;
 
 /// What single and double precision bundles have in common.
 pub trait Arithmetic:
@@ -38,7 +47,7 @@ pub trait Wide: Arithmetic {
 }
 
 /// Most elements of a bundle: padding to multiples of it lets a kernel read whole bundles only.
-pub const LANES_MAX: usize = 8;
+pub const LANES_MAX: usize = 16;
 
 /// One or several numbers of one precision, computed on element by element.
 pub trait Lanes: Arithmetic + Div<Output = Self> {
@@ -265,7 +274,7 @@ impl Wide for f64 {
 impl Real for f32 {
     fn run<K: Kernel<f32>>(kernel: K) -> K::Output {
         #[cfg(target_arch = "x86_64")]
-        let kernel = match super::avx2::run(kernel) {
+        let kernel = match avx512::run(kernel).or_else(avx2::run) {
             Ok(output) => return output,
             Err(kernel) => kernel,
         };
@@ -284,6 +293,16 @@ impl Real for f64 {
 
     fn to_f64(self) -> f64 {
         self
+    }
+}
+
+/// The first `N` of `values`, filled up with `T::default()`.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn first<T: Copy + Default, const N: usize>(values: &[T]) -> [T; N] {
+    match values.first_chunk() {
+        Some(all) => *all,
+        None => std::array::from_fn(|i| values.get(i).copied().unwrap_or_default()),
     }
 }
 
