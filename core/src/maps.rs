@@ -47,6 +47,14 @@ pub const NORMAL_PLANE: usize = 3;
 /// First plane of the (perceptual) roughness.
 pub const ROUGHNESS_PLANE: usize = 6;
 
+/// Least z of a normal whose slope is taken as it is.
+const STEEPEST: f32 = 0.2;
+
+/// The slope of a surface along x or y: that component of its normal over the one up.
+pub(crate) fn slope(component: f32, up: f32) -> f32 {
+    component / up.max(STEEPEST)
+}
+
 /// Material maps, one plane of `height * width` values per channel, rows from the top, in the order of the network's outputs
 /// (REFERENCE: diffuse 3, normal 3, roughness 1, specular 3; anisotropic: diffuse 3, normal 3, roughness (x, y) 2, specular 3, tangent 3).
 ///

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::image::Image;
-use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
+use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE, slope};
 use crate::memory;
 use crate::unit::Unit;
 
@@ -100,6 +100,31 @@ impl Material {
     pub(crate) fn normalised(&self) -> Result<Self> {
         let limited = Self::from_maps(&self.planes()?, self.patch_size)?;
         Ok(Self { unit: self.unit.clone(), warnings: self.warnings.clone(), ..limited })
+    }
+
+    /// How the surface leans as a whole: the mean slopes of its normals towards +x and +y. A sample that did not lie flat in its capture leans.
+    pub fn tilt(&self) -> [f64; 2] {
+        let normals = self.normal.data().chunks_exact(3);
+        let pixels = normals.len().max(1) as f64;
+        [0, 1].map(|axis| normals.clone().map(|n| f64::from(slope(n[axis], n[2]))).sum::<f64>() / pixels)
+    }
+
+    /// The material lying flat, its maps limited as [`Material::limited`] does: without its [`Material::tilt`], so that tiles of it make a plane.
+    ///
+    /// # Errors
+    /// As [`Material::to_maps`].
+    pub fn leveled(&self) -> Result<Self> {
+        self.check_ranges()?;
+        let mut maps = self.planes()?;
+        let (tilt, pixels) = (self.tilt(), self.width() * self.height());
+        let (before, up) = maps.data_mut().split_at_mut((NORMAL_PLANE + 2) * pixels);
+        for (axis, plane) in before[NORMAL_PLANE * pixels..].chunks_exact_mut(pixels).enumerate() {
+            for (component, up) in plane.iter_mut().zip(&*up) {
+                *component -= tilt[axis] as f32 * up;
+            }
+        }
+        let level = Self::from_maps(&maps, self.patch_size)?;
+        Ok(Self { unit: self.unit.clone(), warnings: self.warnings.clone(), ..level })
     }
 
     /// Bytes of its maps in memory.
@@ -253,6 +278,32 @@ mod tests {
                 assert!((a - b).abs() < 2e-7, "{a} {b}");
             }
         }
+    }
+
+    #[test]
+    fn a_level_material_leans_nowhere() {
+        let mut maps = maps(Lobe::Anisotropic);
+        let pixels = maps.width() * maps.height();
+        let slopes: Vec<[f32; 2]> =
+            (0..pixels).map(|p| [0.2 + 0.1 * (p as f32).sin(), -0.1 + 0.05 * (p as f32).cos()]).collect();
+        for (p, [x, y]) in slopes.iter().enumerate() {
+            for (i, component) in [*x, *y, 1.0].into_iter().enumerate() {
+                maps.data_mut()[(NORMAL_PLANE + i) * pixels + p] = component;
+            }
+        }
+        let leaning = Material::from_maps(&maps, 1.0).unwrap();
+        let mean = [0, 1].map(|axis| slopes.iter().map(|slope| f64::from(slope[axis])).sum::<f64>() / pixels as f64);
+        let level = leaning.leveled().unwrap();
+        for axis in 0..2 {
+            assert!((leaning.tilt()[axis] - mean[axis]).abs() < 1e-6, "{:?} {mean:?}", leaning.tilt());
+            assert!(level.tilt()[axis].abs() < 1e-6, "{:?}", level.tilt());
+        }
+        let vectors = level.normal.data().chunks_exact(3).zip(level.tangent.as_ref().unwrap().data().chunks_exact(3));
+        for ((n, t), slope) in vectors.zip(&slopes) {
+            assert!((0..2).all(|i| (f64::from(n[i] / n[2]) - (f64::from(slope[i]) - mean[i])).abs() < 1e-6));
+            assert!((0..3).map(|i| n[i] * t[i]).sum::<f32>().abs() < 1e-6);
+        }
+        assert_eq!((&level.roughness, &level.diffuse_albedo), (&leaning.roughness, &leaning.diffuse_albedo));
     }
 
     #[test]

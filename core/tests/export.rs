@@ -90,7 +90,7 @@ fn every_file_is_described_as_it_is() {
 
 #[test]
 fn principled_files_hold_the_maps() {
-    let (dir, sidecar) = export(Lobe::Isotropic, &ExportOptions::new(ExportTarget::Principled));
+    let (dir, sidecar) = export(Lobe::Isotropic, &ExportOptions::new(ExportTarget::Principled).level(false));
     let maps = Principled::from_material(&material(Lobe::Isotropic)).unwrap();
     assert!((sidecar["ior"].as_f64().unwrap() - maps.ior).abs() < 1e-12);
     let step = 0.51 / 65535.0;
@@ -109,9 +109,28 @@ fn principled_files_hold_the_maps() {
 }
 
 #[test]
+fn the_tilt_of_the_surface_is_taken_out() {
+    let material = material(Lobe::Isotropic);
+    let tilt = material.tilt();
+    assert!(tilt.iter().all(|slope| *slope > 0.1), "{tilt:?}");
+    let options = ExportOptions::new(ExportTarget::Principled);
+    let (dir, sidecar) = export(Lobe::Isotropic, &options);
+    let level = material.leveled().unwrap();
+    assert_close(
+        stored(&dir, "normal.png").1.data(),
+        level.normal.data().iter().map(|v| (v + 1.0) / 2.0),
+        0.51 / 65535.0,
+    );
+    for (axis, slope) in tilt.iter().enumerate() {
+        assert!((sidecar["tilt_removed"][axis].as_f64().unwrap() - slope).abs() < 1e-12);
+    }
+    assert!(export(Lobe::Isotropic, &options.level(false)).1["tilt_removed"].is_null());
+}
+
+#[test]
 fn unreal_packs_channels_and_turns_green_down() {
     let material = material(Lobe::Isotropic);
-    let (dir, sidecar) = export(Lobe::Isotropic, &ExportOptions::new(ExportTarget::Unreal).name("Wood_2"));
+    let (dir, sidecar) = export(Lobe::Isotropic, &ExportOptions::new(ExportTarget::Unreal).name("Wood_2").level(false));
     assert_eq!(sidecar["normals"], "directx");
     let (bits, orm) = stored(&dir, "T_Wood_2_ORM.png");
     assert_eq!(bits, 8);
@@ -128,7 +147,8 @@ fn unreal_packs_channels_and_turns_green_down() {
         normals.flat_map(|n| [n[0], up * n[1], n[2]].map(|v| (v + 1.0) / 2.0)).collect::<Vec<_>>().into_iter()
     };
     assert_close(stored(&dir, "T_Wood_2_Normal.png").1.data(), flipped(-1.0), 0.51 / 65535.0);
-    let options = ExportOptions::new(ExportTarget::Unreal).name("Wood_2").normals(NormalConvention::OpenGl);
+    let options =
+        ExportOptions::new(ExportTarget::Unreal).name("Wood_2").normals(NormalConvention::OpenGl).level(false);
     let (dir, _) = export(Lobe::Isotropic, &options);
     assert_close(stored(&dir, "T_Wood_2_Normal.png").1.data(), flipped(1.0), 0.51 / 65535.0);
 }

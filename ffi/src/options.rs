@@ -698,6 +698,8 @@ pub struct svbrdf_gcn_export_options {
     pub normals: i32,
     /// What the material is called in the files and in their names: up to 64 letters, digits and underscores, a letter first. NULL, the default: "material".
     pub name: *const c_char,
+    /// 1, the default: the tilt of the whole surface is taken out of its normals, so that tiles of it make a plane; 0: it stays.
+    pub level: i32,
 }
 
 impl SizeFirst for svbrdf_gcn_export_options {
@@ -709,6 +711,7 @@ impl SizeFirst for svbrdf_gcn_export_options {
             target: SVBRDF_GCN_EXPORT_MATERIALX as i32,
             normals: SVBRDF_GCN_NORMALS_OF_TARGET as i32,
             name: ptr::null(),
+            level: 1,
         }
     }
 }
@@ -737,6 +740,7 @@ impl svbrdf_gcn_export_options {
                 (SVBRDF_GCN_NORMALS_DIRECTX as i32, Some(NormalConvention::DirectX)),
             ],
         )?;
+        options.level = choose("level", self.level, &[(0, false), (1, true)])?;
         // SAFETY: the caller's word.
         if let Some(name) = unsafe { text("name", self.name) }? {
             options = options.name(name);

@@ -967,6 +967,10 @@ typedef struct svbrdf_gcn_export_options {
    * What the material is called in the files and in their names: up to 64 letters, digits and underscores, a letter first. NULL, the default: "material".
    */
   const char *name;
+  /**
+   * 1, the default: the tilt of the whole surface is taken out of its normals, so that tiles of it make a plane; 0: it stays.
+   */
+  int32_t level;
 } svbrdf_gcn_export_options;
 
 #ifdef __cplusplus

@@ -545,12 +545,15 @@ public:
         detail::check(svbrdf_gcn_material_save(handle_.get(), folder.c_str(), &options));
     }
 
-    /// Writes the material for another program. export.json in the folder says what every file holds and what was lost.
-    void export_to(const std::string &folder, ExportTarget target, const std::string &name = "material", Normals normals = Normals::OfTarget) const {
+    /// Writes the material for another program. export.json in the folder says what every file holds and what was lost. `level`: without the tilt of the
+    /// whole surface, so that tiles of it make a plane.
+    void export_to(const std::string &folder, ExportTarget target, const std::string &name = "material", Normals normals = Normals::OfTarget,
+                   bool level = true) const {
         auto options = detail::initialised(svbrdf_gcn_export_options_init);
         options.target = static_cast<std::int32_t>(target);
         options.name = name.c_str();
         options.normals = static_cast<std::int32_t>(normals);
+        options.level = level ? 1 : 0;
         detail::check(svbrdf_gcn_material_export(handle_.get(), folder.c_str(), &options));
     }
 

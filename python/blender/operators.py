@@ -152,7 +152,7 @@ class Session:
         """Take the result in: a material, assigned to the active object if that can hold one. Raises what the job raised."""
         try:
             fitted, warnings = self.job.result()
-            result = material.build(fitted, self.name)
+            result = material.build(fitted.leveled() if self.settings.level else fitted, self.name)
             lost = material.losses(fitted)
             reasons = [f"{reason['text']}; {reason['advice']}" for reason in fitted.report.get("reasons", [])]
             self.settings.remarks = "\n".join(warnings + reasons + lost)
@@ -321,7 +321,7 @@ class SVBRDF_GCN_OT_export_material(bpy.types.Operator):
             else:
                 # Names of files and nodes; Blender numbers its materials with a dot.
                 name = re.sub(r"[^A-Za-z0-9_]", "_", source.name)
-                report = maps.export(folder, to=self.to, name=name, normals=None if self.normals == "AUTO" else self.normals)
+                report = maps.export(folder, to=self.to, name=name, normals=None if self.normals == "AUTO" else self.normals, level=False)
                 for remark in report["lost"]:
                     self.report({"INFO"}, remark)
         except (svbrdf_gcn.SvbrdfError, OSError, ValueError) as error:

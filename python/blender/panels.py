@@ -82,7 +82,7 @@ def draw_options(layout, context):
     layout.use_property_decorate = False
     layout.enabled = not settings.running
     for name in (
-        "views", "transfer", "color_space", "ignore_profiles", "method", "reflectance", "refine", "weights", "latent_steps", "adapter_steps", "direct_steps", "finish_steps", "early_stop",
+        "views", "transfer", "color_space", "ignore_profiles", "method", "reflectance", "refine", "level", "weights", "latent_steps", "adapter_steps", "direct_steps", "finish_steps", "early_stop",
         "max_memory", "seed", "threads",
     ):
         layout.prop(settings, name)

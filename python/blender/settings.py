@@ -135,6 +135,7 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
             ("light", "Light", "A factor on the light of each photo"),
         ],
     )
+    level: BoolProperty(name="Level", description="Take the tilt of the whole surface out, so that tiles of it make a plane", default=True)
     weights: StringProperty(name="Weights", description="Other weights than those built in (safetensors)", subtype="FILE_PATH")
     latent_steps: IntProperty(name="Latent Steps", description="Steps on the latent code; -1: the preset's", default=-1, min=-1)
     adapter_steps: IntProperty(name="Adapter Steps", description="Steps on the adapters; -1: the preset's", default=-1, min=-1)

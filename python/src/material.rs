@@ -211,6 +211,31 @@ impl PyMaterial {
         detached(py, || self.material.save(folder, &options))
     }
 
+    /// How the surface leans as a whole: the mean slopes of its normals towards +x and +y.
+    #[getter]
+    fn tilt(&self) -> [f64; 2] {
+        self.material.tilt()
+    }
+
+    /// The material lying flat.
+    ///
+    /// A sample that did not lie flat in its capture leans. Without its `tilt`, tiles of the material make a plane.
+    ///
+    /// Returns
+    /// -------
+    /// Material
+    ///     With the report and the deviations of this one.
+    ///
+    /// Examples
+    /// --------
+    /// >>> level = svbrdf_gcn.Material.load("samples/tiles/truth").leveled()
+    /// >>> max(abs(slope) for slope in level.tilt) < 1e-6
+    /// True
+    fn leveled(&self, py: Python<'_>) -> PyResult<Self> {
+        let material = Arc::new(detached(py, || self.material.leveled())?);
+        Ok(Self { material, deviations: self.deviations.clone(), report: self.report.clone() })
+    }
+
     /// Write the material for another program.
     ///
     /// ``docs/exports.md`` describes the files.
@@ -226,6 +251,8 @@ impl PyMaterial {
     ///     What the material is called: letters, digits and underscores, a letter first.
     /// normals : {"opengl", "directx"}, optional
     ///     Whether green points up or down; what the program expects if not given.
+    /// level : bool, default True
+    ///     Take the tilt of the whole surface out of its normals, so that tiles of it make a plane.
     ///
     /// Returns
     /// -------
@@ -248,7 +275,7 @@ impl PyMaterial {
     /// ...     report = material.export(folder, to="unreal", name="Wall")
     /// >>> report["target"], report["normals"]
     /// ('unreal', 'directx')
-    #[pyo3(signature = (folder, *, to, name = Given::Default("material".into()), normals = None))]
+    #[pyo3(signature = (folder, *, to, name = Given::Default("material".into()), normals = None, level = Given::Default(true)))]
     fn export<'py>(
         &self,
         py: Python<'py>,
@@ -256,10 +283,12 @@ impl PyMaterial {
         to: Given<'py, String>,
         name: Given<'py, String>,
         normals: Option<Given<'py, String>>,
+        level: Given<'py, bool>,
     ) -> PyResult<Json<'py>> {
         let (folder, normals) = (folder.take("folder")?, maybe("normals", normals)?);
         let mut options = ExportOptions::new(choice("to", &to.take("to")?, &ExportTarget::ALL, ExportTarget::name)?)
-            .name(name.take("name")?);
+            .name(name.take("name")?)
+            .level(level.take("level")?);
         let conventions = [NormalConvention::OpenGl, NormalConvention::DirectX];
         options.normals =
             normals.as_deref().map(|name| choice("normals", name, &conventions, NormalConvention::name)).transpose()?;

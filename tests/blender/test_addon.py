@@ -265,6 +265,19 @@ def test_export(scene, tmp_path, target):
     assert len(list(tmp_path.iterdir())) > 3
 
 
+def test_tiles_make_a_plane_unless_not_asked_for(scene):
+    from bl_ext.user_default.svbrdf_gcn import material
+
+    tilts = []
+    for level in (False, True):
+        scene.svbrdf_gcn.level = level
+        assert run() == {"FINISHED"}
+        active = bpy.context.view_layer.objects.active.active_material
+        tilts.append(material.read_back(material.fitted_group(active)).tilt)
+    leaning, level = (max(map(abs, tilt)) for tilt in tilts)
+    assert level < 1e-3 < leaning
+
+
 def test_export_needs_a_fitted_material(scene):
     assert not bpy.ops.svbrdf_gcn.export_material.poll()
 

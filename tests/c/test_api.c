@@ -448,6 +448,10 @@ static void exports(const svbrdf_gcn_material *material) {
     FAILS(svbrdf_gcn_material_export(material, folder, &options), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "opengl");
     options.normals = 7;
     FAILS(svbrdf_gcn_material_export(material, folder, &options), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "normals");
+    options.normals = SVBRDF_GCN_NORMALS_OF_TARGET;
+    CHECK(options.level == 1);
+    options.level = 2;
+    FAILS(svbrdf_gcn_material_export(material, folder, &options), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "level");
 }
 
 /* A linear capture in ACEScg and its colours: what is written in ACEScg is the same material. */

@@ -26,5 +26,6 @@ with tempfile.TemporaryDirectory() as home:
     settings = bpy.context.scene.svbrdf_gcn
     settings.folder, settings.size, settings.views = capture, 48, "6,0,2,4"
     settings.preset, settings.seed, settings.threads = "draft", 7, 2
+    settings.level = False
     bpy.ops.svbrdf_gcn.fit_material()
     bpy.ops.svbrdf_gcn.export_material(directory=out, to="maps", format=image_format)

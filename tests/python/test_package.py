@@ -950,6 +950,16 @@ def test_exports_are_those_of_the_command_line(fitted, tmp_path, target):
         assert not (tmp_path / "none").exists()
 
 
+def test_a_level_material_makes_a_plane(fitted, tmp_path):
+    assert fitted.report["tilt"] == pytest.approx(fitted.tilt)
+    level = fitted.leveled()
+    assert level.report == fitted.report and max(map(abs, level.tilt)) < 1e-6
+    slopes = fitted.normal[..., :2] / fitted.normal[..., 2:]
+    np.testing.assert_allclose(level.normal[..., :2] / level.normal[..., 2:], slopes - fitted.tilt, atol=1e-5)
+    assert fitted.export(tmp_path / "level", to="unreal")["tilt_removed"] == pytest.approx(fitted.tilt)
+    assert "tilt_removed" not in fitted.export(tmp_path / "as-it-is", to="unreal", level=False)
+
+
 def test_principled_maps_reflect_what_the_material_does(fitted):
     principled = fitted.principled()
     # Diffuse reflectance at normal incidence: (1 - metallic) base (1 - the coat's); the coat's is 0.08 level tint for IOR 1.5, which brighter coats exceed.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use super::{Budget, load_material, say, say_json};
+use super::{Budget, degrees, load_material, say, say_json};
 use crate::cancel::CancelToken;
 use crate::error::Result;
 use crate::export::principled::Loss;
@@ -26,6 +26,12 @@ pub struct ExportArgs {
     /// Which way green points in normal maps; the target's own convention if not given.
     #[arg(long, value_enum)]
     normals: Option<NormalsArg>,
+    /// Keep the tilt of the whole surface, as it lay in the capture.
+    #[arg(long)]
+    no_level: bool,
+    /// Take the tilt of the whole surface out of its normals, so that tiles of it make a plane; the default.
+    #[arg(long, conflicts_with = "no_level")]
+    level: bool,
     /// Print one JSON object instead of text.
     #[arg(long)]
     json: bool,
@@ -58,7 +64,8 @@ impl ExportArgs {
             TargetArg::Principled => ExportTarget::Principled,
             TargetArg::Unreal => ExportTarget::Unreal,
         })
-        .name(&self.name);
+        .name(&self.name)
+        .level(self.level || !self.no_level);
         options.normals = self.normals.map(|normals| match normals {
             NormalsArg::OpenGl => NormalConvention::OpenGl,
             NormalsArg::DirectX => NormalConvention::DirectX,
@@ -86,6 +93,7 @@ fn summary(report: &ExportReport) -> String {
     if let Some(ior) = report.ior {
         lines.push(format!("index of refraction to set: {ior:.4}"));
     }
+    lines.extend(report.tilt_removed.map(|tilt| format!("taken out: a tilt of {:.1} degrees", degrees(tilt))));
     lines.push(errors("off at normal incidence", &report.loss));
     lines.extend(report.loss_without_extensions.map(|loss| errors("without extensions", &loss)));
     lines.extend(report.lost.iter().map(|line| format!("lost: {line}")));

@@ -10,7 +10,7 @@ use serde_json::json;
 use super::acquire::{SheetOptions, make_capture};
 use super::bar::Bar;
 use super::outputs::keep;
-use super::{CaptureArgs, complain, say, say_json};
+use super::{CaptureArgs, complain, degrees, say, say_json};
 use crate::cancel::CancelToken;
 use crate::capture::{Capture, photo_files};
 use crate::color::ColorSpace;
@@ -24,6 +24,8 @@ use crate::nn::Model;
 
 /// The folder beside the maps for the capture that several photos become.
 const CAPTURE: &str = "capture";
+/// Degrees from which a tilt of the whole surface is worth a line.
+const TILT_SHOWN: f64 = 0.5;
 
 #[derive(Args)]
 pub struct FitArgs {
@@ -265,6 +267,9 @@ fn summary(report: &FitReport, out: &Path) -> String {
     let error = used.iter().sum::<f64>() / used.len() as f64;
     lines.push(format!("photos used: RMSE {error:.4} (gamma 2.2) over {}", used.len()));
     lines.push(reflectance(report));
+    if degrees(report.tilt) > TILT_SHOWN {
+        lines.push(format!("the surface leans by {:.1} degrees; an export takes that out", degrees(report.tilt)));
+    }
     lines.extend(verdict(&report.verdict));
     lines.push(format!("{} in {:.1} s", printable(out.display()), report.seconds));
     lines.join("\n")

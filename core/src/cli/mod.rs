@@ -320,6 +320,11 @@ fn say(text: &str) -> Result<()> {
     writeln!(out, "{text}").and_then(|()| out.flush()).map_err(|source| Error::io("standard output".as_ref(), source))
 }
 
+/// The angle of a surface that leans by these slopes.
+fn degrees([x, y]: [f64; 2]) -> f64 {
+    x.hypot(y).atan().to_degrees()
+}
+
 /// A value as one JSON object on standard output.
 fn say_json(value: &impl serde::Serialize) -> Result<()> {
     let text = serde_json::to_string(value).map_err(|error| Error::invalid("--json", error.to_string()))?;

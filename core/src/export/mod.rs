@@ -100,12 +100,14 @@ pub struct ExportOptions {
     pub name: String,
     /// Which way green points in normal maps; the target's own convention if `None`.
     pub normals: Option<NormalConvention>,
+    /// Whether the tilt of the whole surface is taken out ([`Material::leveled`]), so that tiles of it make a plane.
+    pub level: bool,
 }
 
 impl ExportOptions {
-    /// A material called `material`, in the target's own conventions.
+    /// A level material called `material`, in the target's own conventions.
     pub fn new(target: ExportTarget) -> Self {
-        Self { target, name: "material".to_owned(), normals: None }
+        Self { target, name: "material".to_owned(), normals: None, level: true }
     }
 
     /// Sets [`ExportOptions::name`].
@@ -119,6 +121,13 @@ impl ExportOptions {
     #[must_use]
     pub fn normals(mut self, normals: NormalConvention) -> Self {
         self.normals = Some(normals);
+        self
+    }
+
+    /// Sets [`ExportOptions::level`].
+    #[must_use]
+    pub fn level(mut self, level: bool) -> Self {
+        self.level = level;
         self
     }
 
@@ -177,6 +186,9 @@ pub struct ExportReport {
     pub target: ExportTarget,
     /// Which way green points in normal maps.
     pub normals: NormalConvention,
+    /// The tilt that was taken out: mean slopes towards +x and +y.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tilt_removed: Option<[f64; 2]>,
     /// The files, `export.json` (this report) not among them.
     pub files: Vec<ExportedFile>,
     /// Index of refraction to set, where the target has one number for it.
@@ -224,7 +236,7 @@ impl Material {
         cancel: &CancelToken,
     ) -> Result<ExportReport> {
         let normals = options.check()?;
-        let material = self.limited()?;
+        let material = if options.level { self.leveled()? } else { self.limited()? };
         let mut writer = Writer::new(folder, &options.name, normals, cancel);
         let content = match options.target {
             ExportTarget::MaterialX => materialx::write(&material, &mut writer)?,
@@ -232,7 +244,7 @@ impl Material {
             ExportTarget::Principled => write_principled(&material, &mut writer)?,
             ExportTarget::Unreal => unreal::write(&material, &mut writer)?,
         };
-        writer.finish(&material, options.target, content)
+        writer.finish(&material, options.target, options.level.then(|| self.tilt()), content)
     }
 }
 

@@ -81,7 +81,13 @@ impl<'a> Writer<'a> {
     }
 
     /// Writes everything, with `export.json`, in the place of an export of the same name for the same target.
-    pub fn finish(mut self, material: &Material, target: ExportTarget, content: Content) -> Result<ExportReport> {
+    pub fn finish(
+        mut self,
+        material: &Material,
+        target: ExportTarget,
+        tilt_removed: Option<[f64; 2]>,
+        content: Content,
+    ) -> Result<ExportReport> {
         #[derive(Serialize)]
         struct Sidecar<'a> {
             format: &'static str,
@@ -100,7 +106,7 @@ impl<'a> Writer<'a> {
         }
         let Content { ior, loss, loss_without_extensions, lost } = content;
         let (normals, files) = (self.normals, self.entries);
-        let report = ExportReport { target, normals, files, ior, loss, loss_without_extensions, lost };
+        let report = ExportReport { target, normals, tilt_removed, files, ior, loss, loss_without_extensions, lost };
 
         let saving = Saving::begin(self.folder, self.cancel)?;
         let own = Description::Export.file();

@@ -95,6 +95,8 @@ pub struct FitReport {
     /// Shares of the network's deviation that the finish believed: in normals; in specular albedo and roughness.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub believed_shares: Option<[f64; 2]>,
+    /// How the surface leans as a whole ([`Material::tilt`]): mean slopes towards +x and +y. The maps are in the capture's frame; an export takes it out.
+    pub tilt: [f64; 2],
     /// What may be expected of the maps: `verdict`, `expected_error`, `material_error`, `estimated` and `reasons` in files.
     #[serde(flatten)]
     pub verdict: Verdict,
@@ -164,6 +166,7 @@ impl FitReport {
             }),
             photo_deviation: weighting.map(|weighting| weighting.photo),
             believed_shares: weighting.map(|weighting| [weighting.normal, weighting.specular]),
+            tilt: material.tilt(),
             verdict,
             memory_estimate,
             seconds: started.elapsed().as_secs_f64(),

@@ -217,7 +217,7 @@ pub(super) fn verdict(evidence: &Evidence<'_>) -> Verdict {
             reason(
                 "model_lacks",
                 format!("left-out photos are missed by {:.3} after a smooth gain, too", expected.material),
-                "more photos may help; depth, translucency and brushed surfaces are not part of the model",
+                "more photos may help; depth, translucency and layers are not part of the model",
             );
         }
     }

@@ -4,7 +4,7 @@ use super::folds::{FoldRelief, fit_folds};
 use crate::capture::Capture;
 use crate::error::Result;
 use crate::fit::options::FitOptions;
-use crate::maps::{Maps, NORMAL_PLANE};
+use crate::maps::{Maps, NORMAL_PLANE, slope};
 use crate::progress::{Control, Stage};
 use crate::raw::{NORMAL, RAW};
 
@@ -13,8 +13,6 @@ const FOLDS: usize = 3;
 const STEPS: usize = 100;
 /// Share of the flat surface's squared error that the relief has to take away.
 const GAIN: f64 = 0.1;
-/// Least z of a normal whose slope is taken as it is.
-const STEEPEST: f32 = 0.2;
 
 /// Whether photos that are left out are predicted better with `relief` than from a flat surface, on a part of the pixels.
 pub(super) fn predicts_better(
@@ -47,7 +45,7 @@ pub(crate) fn relief_of_raw(raw: &[f32]) -> Vec<f32> {
 
 /// The slopes of normals with these components across and up, less their mean.
 fn slopes<'a>(across: &'a [f32], up: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
-    let slope = |(across, up): (&f32, &f32)| across / up.max(STEEPEST);
+    let slope = |(&across, &up): (&f32, &f32)| slope(across, up);
     let mean = across.iter().zip(up).map(slope).map(f64::from).sum::<f64>() / across.len() as f64;
     across.iter().zip(up).map(move |pair| slope(pair) - mean as f32)
 }
