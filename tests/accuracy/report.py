@@ -1,5 +1,6 @@
 """Writes accuracy.md, its plots and its pictures."""
 
+import math
 import os
 import statistics
 from pathlib import Path
@@ -251,6 +252,8 @@ def write(measured, store, variants, folder):
             text.append(picture("photos.png", lambda path: plots.photos(path, panels), "Re-rendering error over the number of photos"))
     if shares := certainty(figures, store, variant):
         section("How sure the fits are", CERTAINTY_TEXT.format(shown=labels[shown]), shares)
+    if rows := expectations(figures, variant):
+        section("What the verdicts expect", EXPECTATIONS_TEXT.format(shown=labels[shown]), rows)
     if figures.materials("real"):
         section("Real captures", REAL_TEXT, real(figures, variants))
     if panels := trade_panels(figures, variants):
@@ -283,6 +286,25 @@ def certainty(figures, store, variant):
             if shares:
                 rows.append((title, photos, *(f"{100 * statistics.fmean(share[letter] for share in shares):.0f} %" for letter in "DNRS")))
     return table(("on", "photos", "D", "N", "R", "S"), rows) if rows else ""
+
+
+def expectations(figures, variant):
+    """What the verdicts expected of new views, and what these were missed by."""
+    rows = []
+    for kind, title in (*SYNTHETIC, ("real", "Captures")):
+        for photos in (REAL_PHOTOS,) if kind == "real" else scenes.PHOTOS:
+            fits = [f for f in figures.of(variant.name, kind, photos) if f["report"].get("expected_error")]
+            if not fits:
+                continue
+            real = [f["errors"]["ren"] for f in fits]
+            cells = [three(statistics.fmean(real))]
+            for key in ("expected_error", "material_error"):
+                expected = [f["report"][key] for f in fits]
+                off = statistics.median(abs(math.log(e / r)) for e, r in zip(expected, real, strict=True))
+                cells += [three(statistics.fmean(expected)), f"{100 * (math.exp(off) - 1):.0f} %"]
+            rows.append((title, photos, *cells))
+    heads = ("on", "photos", "missed by", "expected", "off by", "expected of the material", "off by")
+    return table(heads, rows) if rows else ""
 
 
 def pictures(figures, store, variant, picture):
@@ -323,6 +345,10 @@ not stated, so that only the order of size compares."""
 
 CERTAINTY_TEXT = """The share of pixels of the fit `{shown}` whose error is within the standard deviation that it states, of colours their root mean squares. Were errors Gaussian
 and the deviations right, it would be 61 % for D and S, 63 % for N and 68 % for R."""
+
+EXPECTATIONS_TEXT = """The error of new views that the fit `{shown}` expects (`expected_error`, and `material_error`, what is left of it after a smooth gain), beside what they were missed by: means over
+the materials, and by which factor the expectation is off in the median. A single photo's expectation comes from the network's deviations, all others from photos that were left out. New
+views of synthetic materials stand in exact light: there the material's part is what compares."""
 
 REAL_TEXT = """Six captures by the authors of MaterialGAN, nine photos each; photos 0 to 6 are fitted, 7 and 8 kept out. Figures are the RMSE of the two
 re-rendered photos in gamma 2.2. MaterialGAN: the maps that its authors published for the same captures. Camera and light of all but `cards-blue`

@@ -183,10 +183,15 @@ impl Problem<'_> {
         let shots: Vec<Shot> = (0..NEW_PLACES).map(around).collect();
         let sample: Vec<Place> = sample.into_iter().map(|pixel| Place { pixel, so_far: pixel }).collect();
         let seen = f32::run(Look { problem: self, places: &sample, raw, anisotropy, shots: &shots });
-        let moved = |(place, (_, jacobian)): (&Place, &([f32; 3], [[f32; 5]; 3]))| -> f64 {
+        let moved = |(place, (code, jacobian)): (&Place, &([f32; 3], [[f32; 5]; 3]))| -> f64 {
             let by =
                 |c: usize, i: usize| f64::from(jacobian[c][i] * deviation[places(c)[i] * self.pixels() + place.so_far]);
-            (0..3).flat_map(|c| (0..5).map(move |i| (c, i))).map(|(c, i)| by(c, i).powi(2)).sum()
+            let channel = |c: usize| {
+                let (code, by) = (f64::from(code[c]), (0..5).map(|i| by(c, i).powi(2)).sum::<f64>().sqrt());
+                // Errors are those of codes that end at 0 and 1.
+                0.5 * ((code + by).clamp(0.0, 1.0) - (code - by).clamp(0.0, 1.0))
+            };
+            (0..3).map(|c| channel(c).powi(2)).sum()
         };
         let sum: f64 = sample.iter().cycle().zip(&seen).map(moved).sum();
         let error = (sum / (3 * seen.len()) as f64).sqrt();
