@@ -6,7 +6,7 @@ use crate::capture::{Capture, Photo};
 use crate::deviations::Deviations;
 use crate::error::Result;
 use crate::image::Image;
-use crate::maps::{DIFFUSE_PLANE, Maps};
+use crate::maps::{DIFFUSE_PLANE, Maps, ROUGHNESS_PLANE};
 use crate::memory::collected;
 use crate::shot::Shot;
 
@@ -19,6 +19,9 @@ const AT_LIMIT: f32 = 0.985;
 const AT_LIMIT_SHARE: f64 = 0.25;
 /// Standard deviation of an albedo of which nothing is known but that it lies in [0, 1].
 const UNKNOWN: f32 = 0.29;
+/// Radiance, as a share of that of white, below which a pixel is black; and the specular albedo of a perfect mirror.
+const BLACK: f64 = 0.008;
+const MIRROR: f32 = 1.0;
 const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 
 /// `capture` in numbers near 1: photos and light multiplied by one power of two. Which numbers stand for white is a matter of the camera.
@@ -116,6 +119,35 @@ pub(super) fn fill_unlit(capture: &Capture, maps: &mut Maps<f32>, deviations: Op
     }
 }
 
+/// Which pixels are black in every photo. A surface that reflects nothing looks like that, and so does a mirror wherever no photo shows its highlight.
+fn black(capture: &Capture) -> Vec<bool> {
+    let limits: Vec<f32> = capture.photos().iter().map(|photo| (BLACK * white(&photo.shot)) as f32).collect();
+    let dark = |p: usize| {
+        let mut photos = capture.photos().iter().zip(&limits);
+        photos.all(|(photo, limit)| photo.image.data()[3 * p..3 * p + 3].iter().all(|value| value < limit))
+    };
+    (0..capture.width() * capture.height()).map(dark).collect()
+}
+
+/// The share of pixels that are [`black`].
+pub(super) fn black_share(capture: &Capture) -> f64 {
+    let black = black(capture);
+    black.iter().filter(|black| **black).count() as f64 / black.len() as f64
+}
+
+/// Where pixels are [`black`], the deviations of specular albedo and roughness reach to those of a mirror.
+pub(super) fn doubt_black(capture: &Capture, maps: &Maps<f32>, deviations: &mut Deviations) {
+    let first = maps.lobe().specular_plane();
+    for (p, _) in black(capture).into_iter().enumerate().filter(|(_, black)| *black) {
+        let specular = (0..3).map(|c| maps.plane(first + c)[p]).sum::<f32>() / 3.0;
+        let roughness = (ROUGHNESS_PLANE..first).map(|plane| maps.plane(plane)[p]).fold(0.0, f32::max);
+        let reach =
+            |deviations: &mut Image, distance: f32| deviations.data_mut()[p] = deviations.data()[p].max(distance);
+        reach(&mut deviations.specular_albedo, MIRROR - specular);
+        reach(&mut deviations.roughness, roughness);
+    }
+}
+
 /// Whether the diffuse albedo is at its limit of 1 in much of the patch.
 pub(super) fn at_limit(maps: &Maps<f32>) -> bool {
     let pixels = maps.width() * maps.height();
@@ -127,7 +159,7 @@ pub(super) fn at_limit(maps: &Maps<f32>) -> bool {
 mod tests {
     use std::borrow::Cow;
 
-    use super::{UNKNOWN, at_limit, fill_unlit, usual_exposure, warnings, white};
+    use super::{MIRROR, UNKNOWN, at_limit, black_share, doubt_black, fill_unlit, usual_exposure, warnings, white};
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::deviations::Deviations;
@@ -199,5 +231,20 @@ mod tests {
         assert!(!at_limit(&maps));
         maps.data_mut()[..4].fill(1.0);
         assert!(at_limit(&maps));
+    }
+    #[test]
+    fn what_is_black_in_every_photo_may_be_a_mirror() {
+        // White reads 12 / (4 pi).
+        let photos = [[0.0, 0.001, 0.3, 0.0], [0.0, 0.002, 0.0, 0.5]].map(|values| photo("a", [12.0; 3], values));
+        let capture = capture(photos.to_vec());
+        assert_eq!(black_share(&capture), 0.5);
+        let maps = Maps::new(Lobe::Isotropic, 2, 2, vec![0.25; 40]).unwrap();
+        let image = || Image::new(2, 2, 1, vec![0.01; 4]).unwrap();
+        let mut deviations =
+            Deviations { diffuse_albedo: image(), specular_albedo: image(), roughness: image(), normal: image() };
+        doubt_black(&capture, &maps, &mut deviations);
+        assert_eq!(deviations.specular_albedo.data(), [MIRROR - 0.25, MIRROR - 0.25, 0.01, 0.01]);
+        assert_eq!(deviations.roughness.data(), [0.25, 0.25, 0.01, 0.01]);
+        assert_eq!((deviations.diffuse_albedo, deviations.normal), (image(), image()));
     }
 }

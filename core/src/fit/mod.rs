@@ -104,6 +104,9 @@ fn fit_stated(
         };
         let (mut state, choice) = run::run(selection.route, &fitted, options, control)?;
         conditions::fill_unlit(capture, &mut state.maps, state.deviations.as_mut());
+        if let Some(deviations) = &mut state.deviations {
+            conditions::doubt_black(&fitted, &state.maps, deviations);
+        }
         let unit = capture.unit().cloned();
         let material = Material { unit, ..Material::from_maps(&state.maps, capture.patch_size())? };
         let deviations = state.deviations.take();

@@ -135,6 +135,7 @@ impl FitReport {
             gains: gains.as_deref(),
             photo_deviation: weighting.map(|weighting| weighting.photo),
             at_limit: conditions::at_limit(&maps),
+            black_share: conditions::black_share(capture),
             shifts: &shifts,
         });
         let mut warnings = [capture.warnings(), &conditions::warnings(capture)].concat();

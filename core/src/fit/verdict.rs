@@ -23,6 +23,8 @@ const SHIFT: f64 = 1.0;
 const SHIFT_SIDE_MIN: usize = 16;
 /// Share of saturated values from which it is worth a word.
 const SATURATED: f64 = 0.05;
+/// Share of pixels that are black in every photo from which maps may be those of a mirror.
+const BLACK_SHARE: f64 = 0.5;
 /// The deviation of the photos' codes at which the finish believes them least.
 const UNEXPLAINED: f64 = 0.2;
 /// Angle in radians from the normal at which another photo is proposed, and how many directions are looked at.
@@ -32,6 +34,8 @@ const NEXT_DIRECTIONS: usize = 24;
 /// Codes of reasons that are warnings, too.
 const PHOTOS_CONTRADICT: &str = "photos_contradict";
 const LIGHT_WRONG: &str = "light_wrong";
+/// Not a warning, but no good maps either.
+const UNSEEN: &str = "highlight_unseen";
 
 /// How good maps are for what they are made for: to look like the sample under new light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -60,8 +64,8 @@ impl Grade {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct Reason {
-    /// A word that stays the same: `photos_contradict`, `light_wrong`, `assumed`, `light_uneven`, `positions`, `one_photo`, `little_parallax`, `saturated`,
-    /// `unexplained`, `model_lacks`.
+    /// A word that stays the same: `photos_contradict`, `light_wrong`, `assumed`, `light_uneven`, `positions`, `one_photo`, `little_parallax`,
+    /// `highlight_unseen`, `saturated`, `unexplained`, `model_lacks`.
     pub code: &'static str,
     /// What was found.
     pub text: String,
@@ -125,6 +129,8 @@ pub(super) struct Evidence<'a> {
     pub photo_deviation: Option<f64>,
     /// Whether the diffuse albedo is at its limit in much of the patch.
     pub at_limit: bool,
+    /// Share of pixels that are black in every photo.
+    pub black_share: f64,
     /// How far each photo lies beside its rendering, in pixels: [`shift`].
     pub shifts: &'a [f64],
 }
@@ -185,6 +191,13 @@ pub(super) fn verdict(evidence: &Evidence<'_>) -> Verdict {
     } else if span(&kept) < PARALLAX {
         reason("little_parallax", "highlights are in the same place in all photos".into(), &next());
     }
+    if evidence.black_share > BLACK_SHARE {
+        let text = format!(
+            "{:.0} % of the pixels are black in every photo: they reflect nothing, or hardly a photo shows their highlight",
+            100.0 * evidence.black_share
+        );
+        reason(UNSEEN, text, "take more photos, so that the highlight of the flash passes over the whole sample");
+    }
     let values = kept.iter().map(|photo| 3 * photo.saturated.len()).sum::<usize>() as f64;
     let saturated: u32 = kept.iter().flat_map(|photo| &photo.saturated).map(|bits| bits.count_ones()).sum();
     let share = f64::from(saturated) / values;
@@ -230,7 +243,7 @@ pub(super) fn verdict(evidence: &Evidence<'_>) -> Verdict {
         // Without them the maps are those of the others.
         grade = grade.max(if fitted_all { Grade::Poor } else { Grade::Usable });
     }
-    if reasons.iter().any(|reason| reason.code == LIGHT_WRONG) {
+    if reasons.iter().any(|reason| [LIGHT_WRONG, UNSEEN].contains(&reason.code)) {
         grade = grade.max(Grade::Usable);
     }
     Verdict {
@@ -366,6 +379,7 @@ mod tests {
             gains: None,
             photo_deviation: Some(0.025),
             at_limit: false,
+            black_share: 0.1,
             shifts: &shifts,
         };
         change(&mut evidence);
@@ -413,6 +427,8 @@ mod tests {
         assert_eq!((with.grade, with.warnings().count()), (Grade::Poor, 1));
         let bright = judged(&capture, |evidence| evidence.at_limit = true);
         assert_eq!((bright.grade, codes(&bright)), (Grade::Usable, vec!["light_wrong"]));
+        let mirror = judged(&capture, |evidence| evidence.black_share = 0.9);
+        assert_eq!((mirror.grade, codes(&mirror)), (Grade::Usable, vec!["highlight_unseen"]));
         const GAINS: [f64; 5] = [1.0, 1.3499, 1.0, 0.9, 1.0];
         let bright = judged(&capture, |evidence| evidence.gains = Some(&GAINS));
         assert_eq!(codes(&bright), ["light_wrong"]);

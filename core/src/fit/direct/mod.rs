@@ -41,7 +41,10 @@ pub(crate) use folds::{FoldRelief, Folds, fit_folds};
 use groups::{Membership, colour_groups};
 use parameters::{GROUP_STEP, Layout, Parameters, TILT_STEP, inside, logit, logits};
 pub(super) use prior::PHOTO_DEVIATION;
-use prior::{ANISOTROPIC_PHOTO_DEVIATION, DIELECTRIC_DEVIATION, FLAT, PREDICTED, Prior, PriorSigmas, TILT_DEVIATION};
+use prior::{
+    ANISOTROPIC_PHOTO_DEVIATION, DIELECTRIC_DEVIATION, FLAT, METAL_LOGIT, METALLIC_LOGIT, PREDICTED, Prior,
+    PriorSigmas, TILT_DEVIATION, specular_surprise,
+};
 pub(super) use relief::{relief, relief_of_raw};
 use start::{GroupLobe, search};
 
@@ -60,6 +63,8 @@ const ROUGHNESS_LOGIT: f32 = 0.0;
 const BASE: [f32; 4] = [SPECULAR_LOGIT, SPECULAR_LOGIT, SPECULAR_LOGIT, ROUGHNESS_LOGIT];
 /// In the search before the descent the prior of a group counts as if this share of its pixels spoke for it: a lobe that no photo shows must not be made up from noise.
 const SEARCH_EVIDENCE: f64 = 0.04;
+/// Likewise what is known of specular albedos.
+const KINDS_EVIDENCE: f64 = 0.012;
 /// Adam's step length in the logits and slopes of pixels, and the share of it left at the last step.
 const LEARNING_RATE: f64 = 0.03;
 const FINAL_RATE: f64 = 0.02;
@@ -192,7 +197,10 @@ impl Problem {
         let of = |deviation: f64| unit * SEARCH_EVIDENCE / deviation.powi(2);
         let off = |value: f64, start: f32| logit(value as f32) - start;
         let prior = start::Prior {
-            specular: &|s| of(sigmas.specular) * square(off(s, SPECULAR_LOGIT).into()),
+            specular: &|s| match reflectance {
+                Reflectance::Dielectric => of(sigmas.specular) * square(off(s, SPECULAR_LOGIT).into()),
+                _ => unit * KINDS_EVIDENCE * specular_surprise(logit(s as f32).into()),
+            },
             roughness: &|r| of(sigmas.group) * square(off(r, ROUGHNESS_LOGIT).into()),
             tilt: &|[x, y]| unit * (x * x + y * y) / (TILT_DEVIATION * TILT_DEVIATION) / pixels as f64,
             anisotropy: &|s| unit * SEARCH_EVIDENCE * square(s) / anisotropy::GROUP_DEVIATION.powi(2),
@@ -202,6 +210,7 @@ impl Problem {
         let start = |value: f32| logit(START_SHARE * value + START_LEAST);
         let diffuse = (0..3).flat_map(|c| diffuse.iter().map(move |d| start(d[c]))).collect();
         let base = BASE.iter().flat_map(|&logit| std::iter::repeat_n(logit, pixels)).collect();
+        let offsets: Vec<[f32; 4]> = lobes.iter().map(offsets).collect();
         Ok(Self {
             targets,
             patch_size: capture.patch_size(),
@@ -210,8 +219,9 @@ impl Problem {
                 sigmas,
                 photo: if layout.anisotropic { ANISOTROPIC_PHOTO_DEVIATION } else { PHOTO_DEVIATION },
                 diffuse,
+                specular: specular_means(&offsets),
             },
-            groups: lobes.iter().map(offsets).collect(),
+            groups: offsets,
             anisotropy: lobes.iter().map(|lobe| lobe.anisotropy.map(|value| value as f32)).collect(),
             tilt,
         })
@@ -233,7 +243,12 @@ impl Problem {
                 base: lobe_planes(maps).into_iter().flat_map(logits).collect(),
                 relief: Some(relief),
             },
-            prior: Prior { sigmas: PREDICTED, photo: PHOTO_DEVIATION, diffuse: logits(diffuse_planes(maps)).collect() },
+            prior: Prior {
+                sigmas: PREDICTED,
+                photo: PHOTO_DEVIATION,
+                diffuse: logits(diffuse_planes(maps)).collect(),
+                specular: vec![0.0; 3 * groups],
+            },
             groups: vec![[0.0; 4]; groups],
             anisotropy: Vec::new(),
             tilt: [0.0; 2],
@@ -253,6 +268,7 @@ impl Problem {
             self.anisotropy = means.iter().map(|mean| mean.map(|value| value as f32)).collect();
         }
         self.prior.diffuse = logits(diffuse_planes(maps)).collect();
+        self.prior.specular = specular_means(&self.groups);
         self.parameters.memberships = memberships;
         self.parameters.layout.groups = groups;
     }
@@ -369,6 +385,16 @@ fn group_means<const N: usize>(
         }
     }
     sums.iter().map(|(sum, total)| sum.map(|sum| sum / total.max(f64::MIN_POSITIVE))).collect()
+}
+
+/// What the specular albedo of each group returns to without evidence, as parameters: that of dielectrics, or of metals.
+fn specular_means(groups: &[[f32; 4]]) -> Vec<f32> {
+    let metal = METAL_LOGIT - SPECULAR_LOGIT;
+    let mean = |&[r, g, b, _]: &[f32; 4]| {
+        let metallic = (r + g + b) / 3.0 + SPECULAR_LOGIT > METALLIC_LOGIT;
+        if metallic { metal / GROUP_STEP } else { 0.0 }
+    };
+    groups.iter().map(mean).cycle().take(3 * groups.len()).collect()
 }
 
 /// The planes of specular albedo, and that of roughness.

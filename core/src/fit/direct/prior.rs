@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::SPECULAR_LOGIT;
 use super::parameters::{GROUP_STEP, Layout, TILT_STEP};
 use crate::fit::anisotropy;
 
@@ -35,6 +36,21 @@ pub(super) struct PriorSigmas {
 pub(super) const FLAT: PriorSigmas = PriorSigmas { diffuse: 5.0, group: 2.0, specular: 2.0, evidence: 0.002 };
 /// A dielectric's specular albedo lies between 2 and 8 %, which has to outweigh more than the prior of a group: as a deviation beside its evidence.
 pub(super) const DIELECTRIC_DEVIATION: f64 = 0.1;
+/// What metals reflect, 60 %, and what a group reflects at least that is one, 20 %, in logits.
+pub(super) const METAL_LOGIT: f32 = 0.405;
+pub(super) const METALLIC_LOGIT: f32 = -1.386;
+/// What surfaces are made of: its share, and mean and standard deviation of its specular albedo in logits. Dielectrics, metals, anything.
+const KINDS: [(f64, f32, f64); 3] =
+    [(0.75, SPECULAR_LOGIT, 0.7), (0.24, METAL_LOGIT, 0.8), (0.01, SPECULAR_LOGIT, 3.0)];
+
+/// Minus twice the logarithm of the prior of a specular albedo, in logits.
+pub(super) fn specular_surprise(logit: f64) -> f64 {
+    let density = |(share, mean, deviation): (f64, f32, f64)| {
+        share / deviation * (-0.5 * ((logit - f64::from(mean)) / deviation).powi(2)).exp()
+    };
+    -2.0 * KINDS.into_iter().map(density).sum::<f64>().ln()
+}
+
 /// Near a prediction a pixel's diffuse albedo stays what was predicted: a single photo would put its highlight there.
 pub(super) const PREDICTED: PriorSigmas = PriorSigmas { diffuse: 0.3, group: 1.0, specular: 1.0, evidence: 0.02 };
 
@@ -45,6 +61,8 @@ pub(super) struct Prior {
     pub photo: f64,
     /// Logits of the diffuse albedo at the start, three planes: its mean.
     pub diffuse: Vec<f32>,
+    /// Means of the groups' offsets of specular albedo, as parameters, three times as many as groups.
+    pub specular: Vec<f32>,
 }
 
 impl Prior {
@@ -62,7 +80,12 @@ impl Prior {
             (0..layout.slope(), Some(&self.diffuse), 1.0, unit / diffuse.powi(2)),
             (layout.slope()..layout.specular_own(), None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
             (layout.specular_own()..layout.specular_group(), None, 1.0, unit / OWN_DEVIATION.powi(2)),
-            (layout.specular_group()..layout.roughness_group(), None, GROUP_STEP, group_unit / specular.powi(2)),
+            (
+                layout.specular_group()..layout.roughness_group(),
+                Some(&self.specular),
+                GROUP_STEP,
+                group_unit / specular.powi(2),
+            ),
             (layout.roughness_group()..layout.tilt(), None, GROUP_STEP, group_unit / group.powi(2)),
             (layout.tilt()..layout.tilt() + 2, None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
             (
@@ -107,5 +130,17 @@ impl Prior {
             }
         }
         total
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::specular_surprise;
+
+    #[test]
+    fn specular_albedos_are_those_of_dielectrics_or_of_metals() {
+        let of = |value: f64| specular_surprise((value / (1.0 - value)).ln());
+        assert!(of(0.04) < of(0.02) && of(0.02) < of(0.005));
+        assert!(of(0.04) < of(0.6) && of(0.6) < of(0.2) && of(0.6) < of(0.97));
     }
 }
