@@ -40,7 +40,7 @@ phone: build ## photos of a printed sheet to maps, and where the pictures are
 
 # What only rebuilds need is not kept.
 test: export CARGO_INCREMENTAL := 0
-test: setup lint unit docs-test c-test python-build python-test golden blender-test ## set up what the tests need, and run them all, cheapest first
+test: setup lint unit docs-test c-test python-build python-test training-test golden blender-test ## set up what the tests need, and run them all, cheapest first
 
 setup: ## Python packages in .venv
 	@tools/setup.sh
@@ -112,9 +112,14 @@ golden: ## one capture, the same files from every language; after c-test and pyt
 	SVBRDF_GCN_WHEEL=$$(ls $(WHEELS)/*.whl) $(VENV)/bin/python tests/golden/compare.py $(TARGET)/golden cli=$(TARGET)/debug/svbrdf-gcn c=$(TARGET)/c/tests/golden-c cpp=$(TARGET)/c/tests/golden-cpp \
 		"python=$(VENV)/bin/python tests/golden/fit.py" "blender=$(VENV)/blender/bin/python tests/golden/fit_blender.py"
 
-training-test: ## the trainer; TRAINING_PYTHON is a Python that has PyTorch, numpy and Pillow (make test leaves this out)
-	@[ -x $(VENV)/training/bin/python ] || { $(TRAINING_PYTHON) -m venv --system-site-packages $(VENV)/training && $(VENV)/training/bin/pip install --quiet --disable-pip-version-check pytest; }
-	$(VENV)/training/bin/python -m pytest -q -rs tests/training
+training-test: ## the trainer, after python-build, where TRAINING_PYTHON has PyTorch, numpy and Pillow; else it says that it is skipped
+	@if $(TRAINING_PYTHON) -c "import torch, numpy, PIL" 2> $(TARGET)/training-needs; then \
+		$(TRAINING_PYTHON) -m pip install --quiet --disable-pip-version-check --upgrade --target $(VENV)/training pytest && \
+		$(TRAINING_PYTHON) -m pip install --quiet --disable-pip-version-check --upgrade --no-deps --target $(VENV)/training $(WHEELS)/*.whl && \
+		PYTHONPATH=$(abspath $(VENV))/training $(TRAINING_PYTHON) -m pytest -q -rs tests/training; \
+	else \
+		echo "SKIPPED: tests/training: $(TRAINING_PYTHON): $$(tail -1 $(TARGET)/training-needs); TRAINING_PYTHON=... names a Python that has PyTorch, numpy and Pillow"; \
+	fi
 
 blender-test: ## the extension, in Blender's Python module
 	SVBRDF_GCN_WHEEL=$$(ls $(WHEELS)/*.whl) $(VENV)/blender/bin/python -m pytest -q tests/blender
@@ -143,7 +148,7 @@ accuracy: build $(VENV)/accuracy/requirements.txt ## fit materials and captures 
 trade: build $(VENV)/accuracy/requirements.txt ## what time and memory buy, one option at a time, and write docs/trade.md (needs the measuring data; an hour)
 	$(ACCURACY_PYTHON) tests/accuracy/trade.py --binary $(BIN) $(TRADE)
 
-ablations: build $(VENV)/accuracy/requirements.txt ## measure the trainings of python/training/ablations.py in out/ablations and write docs/ablations.md (after make accuracy)
+ablations: build $(VENV)/accuracy/requirements.txt ## measure the trainings of svbrdf_gcn.training.ablations in out/ablations and write docs/ablations.md (after make accuracy)
 	$(ACCURACY_PYTHON) tests/accuracy/ablations.py out/ablations --binary $(BIN)
 
 FUZZ_SECONDS ?= 60

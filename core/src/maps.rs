@@ -105,12 +105,6 @@ impl<T> Maps<T> {
         &self.data
     }
 
-    /// All planes in order, taken out.
-    #[cfg(feature = "train")]
-    pub(crate) fn into_data(self) -> Vec<T> {
-        self.data
-    }
-
     /// All planes in order, to be changed in place.
     pub fn data_mut(&mut self) -> &mut [T] {
         &mut self.data

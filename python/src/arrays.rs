@@ -9,7 +9,7 @@ use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::PyMemoryError;
 use pyo3::inspect::PyStaticExpr;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
+use pyo3::types::{PyDict, PyList, PyTuple};
 use pyo3::{type_hint_identifier, type_hint_subscript};
 use svbrdf_gcn::Image;
 use svbrdf_gcn::io::{MAX_DECODED_BYTES, Samples};
@@ -202,12 +202,13 @@ pub fn intensities(name: &str, object: &Bound<'_, PyAny>, count: usize) -> PyRes
     }
 }
 
-/// Presents an image to numpy and keeps its owner alive for as long as there is an array of it.
+/// Presents values to numpy and keeps their owner alive for as long as there is an array of them.
 #[pyclass(frozen, module = "svbrdf_gcn._svbrdf_gcn")]
 struct View {
     _owner: Arc<dyn Send + Sync>,
-    shape: (usize, usize, usize),
+    shape: Vec<usize>,
     address: usize,
+    read_only: bool,
 }
 
 #[pymethods]
@@ -215,12 +216,11 @@ impl View {
     #[getter]
     fn __array_interface__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let order = if cfg!(target_endian = "little") { '<' } else { '>' };
-        let read_only = true;
         let interface = PyDict::new(py);
         interface.set_item("version", 3)?;
-        interface.set_item("shape", self.shape)?;
+        interface.set_item("shape", PyTuple::new(py, &self.shape)?)?;
         interface.set_item("typestr", format!("{order}f4"))?;
-        interface.set_item("data", (self.address, read_only))?;
+        interface.set_item("data", (self.address, self.read_only))?;
         Ok(interface)
     }
 }
@@ -249,9 +249,9 @@ impl<'py> ImageArray<'py> {
 
     /// A view of `image`, which is a part of `owner`: the two functions above see to that.
     fn part(py: Python<'py>, owner: Arc<dyn Send + Sync>, image: &Image) -> PyResult<Self> {
-        let shape = (image.height(), image.width(), image.channels());
+        let shape = vec![image.height(), image.width(), image.channels()];
         let address = image.data().as_ptr().expose_provenance();
-        asarray("image", Bound::new(py, View { _owner: owner, shape, address })?.as_any()).map(Self)
+        asarray("image", Bound::new(py, View { _owner: owner, shape, address, read_only: true })?.as_any()).map(Self)
     }
 
     /// An array of the caller's own.
@@ -263,7 +263,20 @@ impl<'py> ImageArray<'py> {
     }
 }
 
-const NUMPY_FLOAT32: PyStaticExpr =
+/// A float32 array of this shape that takes over `values`.
+///
+/// # Errors
+/// `ShapeError` if there are not as many values as the shape says.
+pub fn array<'py>(py: Python<'py>, mut values: Vec<f32>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+    if shape.iter().product::<usize>() != values.len() {
+        return Err(self::shape("values", tuple(shape), tuple(&[values.len()])));
+    }
+    let address = values.as_mut_ptr().expose_provenance();
+    let view = View { _owner: Arc::new(values), shape: shape.to_vec(), address, read_only: false };
+    asarray("values", Bound::new(py, view)?.as_any())
+}
+
+pub const NUMPY_FLOAT32: PyStaticExpr =
     type_hint_subscript!(type_hint_identifier!("numpy.typing", "NDArray"), type_hint_identifier!("numpy", "float32"));
 const NUMPY_FLOAT64: PyStaticExpr =
     type_hint_subscript!(type_hint_identifier!("numpy.typing", "NDArray"), type_hint_identifier!("numpy", "float64"));

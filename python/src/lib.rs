@@ -7,6 +7,7 @@ mod errors;
 mod fit;
 mod material;
 mod options;
+mod training;
 mod types;
 
 /// The compiled part of ``svbrdf_gcn``.
@@ -24,6 +25,9 @@ mod _svbrdf_gcn {
     use crate::fit::{PyCancelToken, PyModel, PyProgress, py_fit_material};
     #[pymodule_export]
     use crate::material::{PyMaterial, PyPrincipled, map_errors, photo_errors, photo_rmse};
+
+    #[pymodule_export]
+    use crate::training::PyTrainingData;
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "Python's name for it")]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from os import PathLike
 from typing import Any, Final, SupportsFloat, SupportsIndex, final
 
-__all__ = ["__version__", "Acquisition", "CancelToken", "Capture", "Material", "Model", "Principled", "Progress", "acquire", "command_line", "fit_material", "map_errors", "photo_errors", "photo_rmse"]
+__all__ = ["__version__", "Acquisition", "CancelToken", "Capture", "Material", "Model", "Principled", "Progress", "TrainingData", "acquire", "command_line", "fit_material", "map_errors", "photo_errors", "photo_rmse"]
 
 __version__: Final[str]
 
@@ -342,7 +342,7 @@ class Material:
 
         How often the truth lies within one such deviation is measured in ``docs/accuracy.md``.
         """
-    def export(self, /, folder: str | PathLike[str], *, to: str, name: str = ..., normals: str | None = None) -> dict[str, Any]:
+    def export(self, /, folder: str | PathLike[str], *, to: str, name: str = ..., normals: str | None = None, level: bool = ...) -> dict[str, Any]:
         """
         Write the material for another program.
 
@@ -359,6 +359,8 @@ class Material:
             What the material is called: letters, digits and underscores, a letter first.
         normals : {"opengl", "directx"}, optional
             Whether green points up or down; what the program expects if not given.
+        level : bool, default True
+            Take the tilt of the whole surface out of its normals, so that tiles of it make a plane.
 
         Returns
         -------
@@ -386,6 +388,23 @@ class Material:
     def height(self, /) -> int:
         """
         Rows of the maps.
+        """
+    def leveled(self, /) -> Material:
+        """
+        The material lying flat.
+
+        A sample that did not lie flat in its capture leans. Without its `tilt`, tiles of the material make a plane.
+
+        Returns
+        -------
+        Material
+            With the report and the deviations of this one.
+
+        Examples
+        --------
+        >>> level = svbrdf_gcn.Material.load("samples/tiles/truth").leveled()
+        >>> max(abs(slope) for slope in level.tilt) < 1e-6
+        True
         """
     @staticmethod
     def load(path: str | PathLike[str], *, encoding: str | None = None, patch_size: SupportsFloat | SupportsIndex | None = None, unit: str | None = None) -> Material:
@@ -546,6 +565,11 @@ class Material:
     def tangent(self, /) -> NDArray[float32] | None:
         """
         Unit tangents of an anisotropic material, a read-only array of shape (H, W, 3); else None.
+        """
+    @property
+    def tilt(self, /) -> list[float]:
+        """
+        How the surface leans as a whole: the mean slopes of its normals towards +x and +y.
         """
     @property
     def unit(self, /) -> str | None:
@@ -734,6 +758,165 @@ class Progress:
     def steps(self, /) -> int:
         """
         Steps that the stage takes at most.
+        """
+
+@final
+class TrainingData:
+    """
+    Materials to train on, and captures of them as a network sees them; see docs/training.md.
+
+    What a step sees follows from `seed` and the step's number alone. Any thread may ask; one at a time is served, while other Python threads run.
+
+    Parameters
+    ----------
+    library : str or os.PathLike
+        A pack of materials (``python -m svbrdf_gcn.training.pack``) or a folder of material folders.
+    seed : int
+        Of everything random.
+    photos : iterable of float
+        How often a batch has 1, 2, 3 ... photos, relatively.
+    procedural : float
+        Share of procedural materials in a batch, from 0 to 1.
+    groups, per_group, refresh : int
+        There are ``groups * per_group`` procedural materials; every `refresh` steps `per_group` of the oldest are replaced.
+    size : int
+        Side of a procedural material in pixels.
+    captures : str
+        ``"any"``: near and far with every defect; ``"near"``: a perfect camera; ``"real"``: far with every defect; ``"paper"``: as the synthetic literature.
+    directions : bool
+        Whether the network is shown where camera and light stood. Otherwise the planes that follow from positions are 0.
+    views : int
+        Renderings per capture that a loss compares.
+    threads : int, optional
+        All processors if not given.
+
+    Raises
+    ------
+    ArgumentError
+        For values out of range, and for materials that cannot be used.
+    OSError
+        If the library cannot be read.
+    MemoryError
+        If there is no room for it.
+
+    Examples
+    --------
+    >>> from svbrdf_gcn.training import TrainingData  # doctest: +SKIP
+    >>> data = TrainingData("data/materials.zip", seed=1, photos=[1, 1, 0, 2], procedural=0.45, groups=28, per_group=4,
+    ...                     refresh=12, size=256, captures="any", directions=True, views=5)  # doctest: +SKIP
+    >>> data.batch(0, count=4, size=96)["maps"].shape  # doctest: +SKIP
+    (4, 10, 96, 96)
+    """
+    KINDS: Final[int]
+    """
+    How many kinds of procedural materials there are.
+    """
+    def __new__(cls, /, library: str | PathLike[str], *, seed: SupportsIndex, photos: Iterable[SupportsFloat | SupportsIndex], procedural: SupportsFloat | SupportsIndex, groups: SupportsIndex, per_group: SupportsIndex, refresh: SupportsIndex, size: SupportsIndex, captures: str, directions: bool, views: SupportsIndex, threads: SupportsIndex | None = None) -> TrainingData: ...
+    def batch(self, /, step: SupportsIndex, count: SupportsIndex, size: SupportsIndex) -> dict[str, NDArray[float32]]:
+        """
+        What step `step` sees.
+
+        Parameters
+        ----------
+        step : int
+            From 0 on; the same number gives the same arrays.
+        count : int
+            Captures.
+        size : int
+            Side of their crops in pixels.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Float32 arrays of the caller's own. A crop covers x and y from -1 to 1. ``inputs`` (count, photos, 13, size, size), what the network sees of every
+            photo: the photo in gamma 2.2, 3; its ratio to a white surface in gamma 2.2, 3; saturation, 1; direction to the light, 3; half vector, 3.
+            ``maps`` (count, 10, size, size): the true diffuse albedo, normal, roughness and specular albedo. ``shots`` (count, photos, 3, 3):
+            camera, light and light intensity of every photo as stated; ``views`` (count, views, 3, 3): those of the renderings that a loss compares.
+
+        Raises
+        ------
+        ArgumentError
+            For a size or count out of range.
+        MemoryError
+            If there is no room.
+
+        Examples
+        --------
+        >>> batch = data.batch(0, count=4, size=96)  # doctest: +SKIP
+        """
+    @property
+    def facts(self, /) -> dict[str, Any]:
+        """
+        What the photographed materials are, and under which licences, as a weights file says it.
+        """
+    @property
+    def held_out(self, /) -> list[str]:
+        """
+        Names of the materials held out, in the order of ``validation``.
+        """
+    @property
+    def materials(self, /) -> int:
+        """
+        How many photographed materials there are to train on.
+        """
+    @staticmethod
+    def procedural(seed: SupportsIndex, number: SupportsIndex, size: SupportsIndex) -> NDArray[float32]:
+        """
+        Maps of a procedural material, float32 of shape (10, size, size).
+
+        Parameters
+        ----------
+        seed, number : int
+            The same give the same material; ``TrainingData.KINDS`` kinds take turns.
+        size : int
+            Side in pixels.
+
+        Returns
+        -------
+        ndarray
+            Diffuse albedo 3, normal 3, roughness 1, specular albedo 3.
+
+        Raises
+        ------
+        ArgumentError
+            If `size` is out of its range.
+
+        Examples
+        --------
+        >>> leather = TrainingData.procedural(1, number=8, size=128)  # doctest: +SKIP
+        """
+    def validation(self, /, captures: str, photos: SupportsIndex, size: SupportsIndex, first: SupportsIndex, count: SupportsIndex, views: SupportsIndex) -> dict[str, NDArray[float32]]:
+        """
+        Captures of held-out materials, whole and upright, always the same.
+
+        Parameters
+        ----------
+        captures : str
+            ``"near"``, ``"real"``, ``"paper"`` or ``"any"``, as for ``TrainingData``.
+        photos : int
+            Photos of each capture.
+        size : int
+            Side of a material in pixels.
+        first, count : int
+            Which of the materials held out.
+        views : int
+            Renderings that scores compare, the same for every material.
+
+        Returns
+        -------
+        dict of str to ndarray
+            As ``batch``.
+
+        Raises
+        ------
+        ArgumentError
+            For values out of range.
+        MemoryError
+            If there is no room.
+
+        Examples
+        --------
+        >>> four = data.validation("real", photos=4, size=128, first=0, count=4, views=20)  # doctest: +SKIP
         """
 
 def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | SupportsIndex | None = None, frame_width: SupportsFloat | SupportsIndex | None = None, printed_bar: SupportsFloat | SupportsIndex | None = None, depth: SupportsFloat | SupportsIndex = ..., size: SupportsIndex | None = None, light_offset: Iterable[SupportsFloat | SupportsIndex] | str | None = None, dark: str | PathLike[str] | None = None, paper_white: SupportsFloat | SupportsIndex = ..., max_memory: SupportsIndex | str | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Acquisition:

@@ -13,10 +13,13 @@ import json
 import pickle
 import sys
 import zipfile
+from pathlib import Path
 
 import numpy as np
 
-import checksums
+sys.path.append(str(Path(__file__).resolve().parents[1] / "svbrdf_gcn" / "training"))
+
+import checksums  # noqa: E402
 
 # What the reader of weights files demands; see Model::load.
 CONVENTIONS = {

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measures the trainings of `python/training/ablations.py` and writes docs/ablations.md: ablations.py out/ablations [--binary svbrdf-gcn] [--report docs]
+"""Measures the trainings of `svbrdf_gcn.training.ablations` and writes docs/ablations.md: ablations.py out/ablations [--binary svbrdf-gcn] [--report docs]
 
 Two tables: what the networks predict by themselves on the held-out textures, as their trainings scored it; and what is left on the maps of Deschaintre
 et al. of the stages of the paper's fit. Needs the measuring data and numpy; fits are kept in the folder.
@@ -92,7 +92,7 @@ def measure(job):
 TEXT = """# Ablations
 
 What the parts of the paper's network and of its fit are worth, and light directions, at the size of training that one CPU core manages: {steps} steps each of four crops of
-96 x 96 pixels (about ten minutes), two seeds, the same materials. Made by `make ablations` (trainings by `python/training/ablations.py`, two hours; measured by `tests/accuracy/ablations.py`).
+96 x 96 pixels (about ten minutes), two seeds, the same materials. Made by `make ablations` (trainings by `svbrdf_gcn.training.ablations`, two hours; measured by `tests/accuracy/ablations.py`).
 The authors trained a network sixteen times as large for three days on four GPUs: these tables tell what is learned first, not what is better in the end.
 
 Cells are the two seeds. Photos are those of the synthetic literature: camera and light together 2.146 half widths above the patch, offsets up to 1.2, four photos.
@@ -128,7 +128,7 @@ there is nothing to optimise in them.
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="what python/training/ablations.py wrote")
+    parser.add_argument("folder", type=Path, help="what svbrdf_gcn.training.ablations wrote")
     parser.add_argument("--binary", type=Path, default=scenes.ROOT / "target" / "release" / "svbrdf-gcn")
     parser.add_argument("--report", type=Path, default=scenes.ROOT / "docs")
     options = parser.parse_args(arguments)

@@ -117,7 +117,7 @@ def names(kind):
     if kind == "maps":
         return sorted(path.name for path in (SHARED / "maps").iterdir())
     if kind == "textures":
-        return (ROOT / "python" / "training" / "validation.txt").read_text().split()
+        return (ROOT / "python" / "svbrdf_gcn" / "training" / "validation.txt").read_text().split()
     return list(CAPTURES)
 
 

@@ -12,7 +12,8 @@ import pytest
 import svbrdf_gcn
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "python" / "tools"))
+TOOL = ROOT / "python" / "svbrdf_gcn" / "training" / "checksums.py"
+sys.path.insert(0, str(TOOL.parent))
 
 import checksums  # noqa: E402
 
@@ -20,7 +21,7 @@ OLD = ROOT / "fuzz" / "seeds" / "weights" / "two_networks.safetensors"
 
 
 def tool(*files):
-    return subprocess.run([sys.executable, ROOT / "python" / "tools" / "checksums.py", *files], capture_output=True, text=True)
+    return subprocess.run([sys.executable, TOOL, *files], capture_output=True, text=True)
 
 
 @pytest.fixture

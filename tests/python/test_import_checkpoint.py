@@ -15,8 +15,8 @@ import numpy as np
 
 TOOLS = pathlib.Path(__file__).resolve().parents[2] / "python" / "tools"
 sys.path.insert(0, str(TOOLS))
-import checksums  # noqa: E402
 import import_checkpoint as importer  # noqa: E402
+from import_checkpoint import checksums  # noqa: E402
 
 
 class Global:

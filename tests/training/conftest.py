@@ -1,12 +1,11 @@
-"""The trainer's modules, and a library of made-up materials."""
+"""A library of made-up materials, and a tiny network to train on it."""
 
-import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "python" / "training"))
+NEEDED = "PyTorch is not installed: the trainer is not tested; pip install torch, see docs/training.md"
 
 try:
     import torch
@@ -58,7 +57,7 @@ def library(tmp_path_factory):
 @pytest.fixture(scope="session")
 def packed(library, tmp_path_factory):
     """A pack of that library at 48 pixels, two materials held out."""
-    import pack
+    from svbrdf_gcn.training import pack
 
     path = tmp_path_factory.mktemp("pack") / "materials.zip"
     pack.main([str(library), "-o", str(path), "--size", "48", "--quality", "98", "--hold-out", "2"])

@@ -3,13 +3,14 @@
 from pathlib import Path
 
 import pytest
+from conftest import NEEDED
 
-torch = pytest.importorskip("torch", reason="PyTorch is not installed: the trainer is not tested; see docs/training.md")
+torch = pytest.importorskip("torch", reason=NEEDED)
 
 import fixture  # noqa: E402
-import model  # noqa: E402
-import store  # noqa: E402
 from conftest import TINY  # noqa: E402
+
+from svbrdf_gcn.training import model, store  # noqa: E402
 
 FIXTURES = Path(__file__).resolve().parents[1] / "fixtures" / "default"
 CONFIG = {**model.DEFAULT, **TINY["model"], "window": 24}

@@ -4,15 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
+from conftest import NEEDED
 
-torch = pytest.importorskip("torch", reason="PyTorch is not installed: the trainer is not tested; see docs/training.md")
+torch = pytest.importorskip("torch", reason=NEEDED)
 
-import configuration  # noqa: E402
-import export  # noqa: E402
-import model  # noqa: E402
-import paper  # noqa: E402
-import store  # noqa: E402
-import train  # noqa: E402
+from svbrdf_gcn.training import configuration, export, model, paper, store, train  # noqa: E402
 
 OFFICIAL = Path(__file__).resolve().parents[3] / "shared" / "fixtures" / "official"
 # What the released network looks like in those fixtures.
@@ -111,7 +107,8 @@ views = 2
     train.main([str(config), "-o", str(tmp_path / "run"), "--device", "cpu"])
     log = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
     assert list(log[-1]["validation"]) == ["paper 4"]
-    export.main([str(tmp_path / "run"), "-o", str(tmp_path / "w.safetensors"), "--f32"])
+    assert (tmp_path / "run" / "weights.safetensors").exists()
+    export.main([str(tmp_path / "run"), "-o", str(tmp_path / "w.safetensors"), "--f32", "--device", "cpu"])
     tensors, metadata = store.load(tmp_path / "w.safetensors")
     (network,) = json.loads(metadata["networks"])
     assert (network["gcn"], network["width"], network["lobe"]) == ("full", 8, "isotropic")

@@ -4,13 +4,14 @@ import math
 from pathlib import Path
 
 import pytest
+from conftest import NEEDED
 
-torch = pytest.importorskip("torch", reason="PyTorch is not installed: the trainer is not tested; see docs/training.md")
+torch = pytest.importorskip("torch", reason=NEEDED)
 
-import camera  # noqa: E402
-import render  # noqa: E402
-import store  # noqa: E402
-from maps import decode_maps, encode_maps, join  # noqa: E402
+import fixture  # noqa: E402
+
+from svbrdf_gcn.training import render, store  # noqa: E402
+from svbrdf_gcn.training.maps import decode_maps, encode_maps, join  # noqa: E402
 
 FIXTURES = Path(__file__).resolve().parents[1] / "fixtures"
 
@@ -122,10 +123,12 @@ def test_network_input_shows_a_matt_surface_its_albedo():
     ones = torch.ones(1, 1, size, size)
     flat = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand(1, 3, size, size)
     maps = join(0.25 * ones.expand(1, 3, size, size), flat, ones, 0 * ones.expand(1, 3, size, size))
-    geometry = camera.draw_geometry(torch.Generator().manual_seed(4), 1, 5, size, size, "cpu", "near", collocated=0.0)
-    radiance = render.render(maps, geometry.position, geometry.camera, geometry.light, geometry.intensity)
+    camera = torch.tensor([[[0.3, -0.2, 2.5], [0.9, 0.6, 2.1], [-1.0, 0.1, 3.0]]])
+    light = torch.tensor([[[0.3, -0.2, 2.5], [-0.7, 0.8, 2.9], [1.1, -0.4, 2.2]]])
+    power = torch.full((1, 3, 3), 12.0)
+    radiance = render.render(maps, render.pixel_positions(size, size)[None], camera, light, power)
     # Without specular reflection what is left above d / pi is 2^-14 of a lobe of roughness 1.
-    inputs = camera.network_input(render.encode_radiance(radiance), torch.zeros(1, 5, 1, size, size), geometry)
-    assert inputs.shape == (1, 5, camera.INPUTS, size, size)
+    inputs = fixture.network_input(render.encode_radiance(radiance), torch.zeros(1, 3, 1, size, size), camera, light, power)
+    assert inputs.shape == (1, 3, 13, size, size)
     assert (inputs[:, :, 3:6] - 0.25 ** (1 / 2.2)).abs().max() < 0.02
     assert (inputs[:, :, 7:10].norm(dim=2) - 1).abs().max() < 1e-5 and (inputs[:, :, 10:].norm(dim=2) - 1).abs().max() < 1e-5

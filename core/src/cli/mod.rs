@@ -57,7 +57,7 @@ enum Command {
     Export(export::ExportArgs),
     /// Tell what a weights file or a material folder holds.
     Info(info::InfoArgs),
-    /// Train the default network on your own materials.
+    /// Train a network on your own materials, with the Python package and PyTorch.
     Train(train::TrainArgs),
 }
 
@@ -266,7 +266,12 @@ pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) ->
         Command::Evaluate(args) => evaluate::run(&args, &cancel),
         Command::Export(args) => export::run(&args, &cancel),
         Command::Info(args) => info::run(&args, &cancel),
-        Command::Train(args) => train::run(&args, &cancel),
+        Command::Train(args) => {
+            return train::run(&args).unwrap_or_else(|error| {
+                complain(&format!("error: {error}"));
+                exit_code(&error)
+            });
+        }
     };
     match result {
         Ok(()) => 0,

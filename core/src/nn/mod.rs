@@ -25,10 +25,3 @@ pub use params::AdapterParams;
 #[cfg(feature = "train")]
 pub(crate) use photo_graph::{INPUTS, PhotoView};
 pub use photo_graph::{PhotoGraph, PhotoGraphConfig, Prediction};
-#[cfg(feature = "train")]
-pub(crate) use {
-    photo_graph::Trainable,
-    scalar::Scalar,
-    tape::Pool,
-    weights::{read_tensors, write as write_tensors},
-};

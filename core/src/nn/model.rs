@@ -130,12 +130,6 @@ impl Model {
         }
     }
 
-    /// The same model, of which the file says this too.
-    #[cfg(feature = "train")]
-    pub(crate) fn with_facts(self, facts: BTreeMap<String, String>) -> Self {
-        Self { facts, ..self }
-    }
-
     /// Writes all networks, as `f32`, with checksums.
     ///
     /// # Errors

@@ -115,7 +115,7 @@ impl<E: Scalar> Param<E> {
     }
 
     /// Parameters whose gradient [`Pullback::of_param`] will give.
-    #[cfg(any(feature = "train", test))]
+    #[cfg(test)]
     pub fn tracked(values: impl Into<Arc<Vec<E>>>) -> Self {
         Self { values: values.into(), leaf: key().ok() }
     }
@@ -203,7 +203,7 @@ impl<E: Scalar> Planes<E> {
     }
 
     /// The same image at the start of a tape that is there for the parameters' sake only.
-    #[cfg(any(feature = "train", test))]
+    #[cfg(test)]
     pub fn traced_constant(&self) -> Planes<E, OwnedTape<E, Cpu>> {
         Planes { wanted: false, ..self.traced() }
     }
@@ -327,7 +327,7 @@ impl<E: Scalar> Pullback<E> {
     }
 
     /// The gradient with respect to `param`, where it is tracked.
-    #[cfg(any(feature = "train", test))]
+    #[cfg(test)]
     pub fn of_param(&mut self, param: &Param<E>) -> Option<Vec<E>> {
         let leaf = param.leaf.as_ref()?;
         let mut gradient = self.0.get_or_alloc_mut(leaf).ok()?.to_vec();

@@ -213,13 +213,3 @@ fn compare(what: &str, stated: Option<&String>, got: String) -> Result<()> {
         "{what}: the checksum is {got}, the file states {stated}: it is damaged, fetch or export it again"
     )))
 }
-
-/// The `f32` or `f16` tensors of a safetensors file with these names and shapes, all finite.
-#[cfg(feature = "train")]
-pub(crate) fn read_tensors(
-    source: impl Read + Seek,
-    shapes: &[(String, Vec<usize>)],
-) -> Result<BTreeMap<String, Vec<f32>>> {
-    let mut reader = Reader::open(source)?;
-    shapes.iter().map(|(name, shape)| Ok((name.clone(), reader.read(name, shape)?))).collect()
-}

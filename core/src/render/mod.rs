@@ -5,8 +5,6 @@
 //! the same bits on any number of threads.
 
 mod loss;
-#[cfg(feature = "train")]
-mod rendering;
 mod tape;
 
 use rayon::prelude::*;
@@ -26,8 +24,6 @@ pub use tape::photo_loss_on_tape;
 
 pub(crate) use loss::encode;
 pub use loss::{TOE, Target, encode_radiance, photo_loss};
-#[cfg(feature = "train")]
-pub(crate) use rendering::rendering_loss;
 
 /// Pixels of a chunk of work, rounded to whole rows.
 const CHUNK_PIXELS: usize = 4096;

@@ -33,7 +33,7 @@ const INPUT_PLANES: &str =
 const HINT_PLANES: &str =
     "slope of ratio in half vector xy 2, highlight in half vector xy 2, least ratio 3, mean ratio 3";
 
-/// Sizes and form of a photo graph (`python/training/model.py` states the network in full).
+/// Sizes and form of a photo graph (`python/svbrdf_gcn/training/model.py` states the network in full).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PhotoGraphConfig {

@@ -27,7 +27,7 @@ const WITH_CODE: usize = 11;
 const WEIGHT: usize = 13;
 const BRIGHT: usize = 14;
 
-/// The hints of photos that are taken in one after the other (`python/training/model.py`, `hints`); their order does not matter.
+/// The hints of photos that are taken in one after the other (`python/svbrdf_gcn/training/model.py`, `hints`); their order does not matter.
 ///
 /// With c the mean over colours of the ratio and h the x and y of the half vector: the slope of c in h (ridge regression) over the mean of c, within [-4, 4], 2; the mean
 /// of h with weights c^4 less its mean without, 2; the smallest ratio, 3; the mean ratio, 3.

@@ -19,7 +19,7 @@ const RATIO_MIN: f32 = 1e-6;
 /// The [`INPUTS`] planes of a photo of a patch `patch_size` wide, zero beyond the photo. `layout` has as many channels.
 ///
 /// Planes: the photo in gamma 2.2, clamped to [0, 1], 3; the gamma 2.2 encoding of its ratio to what a white diffuse patch facing +z would
-/// show, at most 4, 3; saturation, 1; direction to the light, 3; half vector, 3 (`python/training/camera.py`, `network_input`). Half the
+/// show, at most 4, 3; saturation, 1; direction to the light, 3; half vector, 3 (`network_input` in `tests/training/fixture.py`). Half the
 /// width of the patch is the unit of length.
 pub(super) fn planes(photo: &Photo, patch_size: f64, layout: Layout, pool: &Pool<f32>) -> Result<Planes<f32>> {
     let (width, height) = (photo.image.width(), photo.image.height());

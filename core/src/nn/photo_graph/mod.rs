@@ -1,14 +1,12 @@
 //! The `default` network: any number of photos with their light and half vectors in, raw maps and their certainty out.
 //!
-//! `python/training/model.py` states it in full. The photos are the nodes of a graph; nothing depends on their order.
+//! `python/svbrdf_gcn/training/model.py` states it in full. The photos are the nodes of a graph; nothing depends on their order.
 
 mod config;
 mod hints;
 mod input;
 mod net;
 mod rounds;
-#[cfg(feature = "train")]
-mod train;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -31,8 +29,6 @@ use config::{HINTS, RAW_PLANES};
 pub(crate) use input::PhotoView;
 use net::{Net, Output};
 use rounds::DIRECTIONS;
-#[cfg(feature = "train")]
-pub(crate) use train::Trainable;
 
 /// A network that takes any number of photos with the places of camera and light, and gives raw maps and how certain they are.
 ///

@@ -13,8 +13,6 @@ use crate::color::Transfer;
 use crate::error::Error;
 use crate::image::Image;
 use crate::maps::{Lobe, Maps};
-#[cfg(feature = "train")]
-use crate::nn::kernels::dot;
 use crate::nn::layout::Layout;
 use crate::nn::model::Model;
 use crate::nn::model::testing::{self, reason};
@@ -105,55 +103,6 @@ fn run<E: Scalar>(net: &Net<E>, config: &PhotoGraphConfig, inputs: &[f64], size:
 fn wide(graph: &PhotoGraph) -> Net<f64> {
     let convert = |values: &Arc<Vec<f32>>| Arc::new(values.iter().map(|&value| f64::from(value)).collect());
     build(&graph.config, &graph.tensors, convert).unwrap()
-}
-
-/// Training computes what inference does, and its gradient, along a direction in all parameters, is the slope: with a single photo, and where photos
-/// are the same, so that each of them has the largest features.
-#[cfg(feature = "train")]
-#[test]
-fn training_computes_the_same_and_its_slope() {
-    use super::Trainable;
-
-    let (graph, expected) = (graph(), Expected::open());
-    let config = PhotoGraphConfig { window: None, ..graph.config.clone() };
-    let inputs = expected.get("inputs");
-    let len = INPUTS * SIZE.0 * SIZE.1;
-    let seed = numbers(18 * SIZE.0 * SIZE.1, 1);
-    let (d_raw, d_log_sigma) = seed.split_at(9 * SIZE.0 * SIZE.1);
-    let direction: BTreeMap<&String, Vec<f64>> =
-        graph.tensors.iter().zip(0..).map(|((name, values), seed)| (name, numbers(values.len(), seed))).collect();
-    let moved = |step: f64| {
-        let moved = |(name, values): (&String, &Arc<Vec<f32>>)| {
-            let values = values.iter().zip(&direction[name]).map(|(&value, d)| f64::from(value) + step * d);
-            (name.clone(), Arc::new(values.collect()))
-        };
-        Trainable::new(&config, &graph.tensors.iter().map(moved).collect(), Pool::default()).unwrap()
-    };
-    for inputs in [inputs[..len].to_vec(), inputs[..len].repeat(2), inputs] {
-        let photos = inputs.len() / len;
-        let net = moved(0.0);
-        let traced = net.run(&inputs, photos, SIZE.0, SIZE.1).unwrap();
-        let plain = run(&wide(&graph), &config, &inputs, SIZE);
-        compare(&traced.raw, &plain.raw, 1e-13, "raw");
-        compare(&traced.log_sigma, &plain.log_sigma, 1e-13, "log_sigma");
-
-        // The certainty's seed is zero: the features do not learn from it.
-        let loss = |step: f64| dot(&moved(step).run(&inputs, photos, SIZE.0, SIZE.1).unwrap().raw, d_raw);
-        let difference = |step: f64| (loss(step) - loss(-step)) / (2.0 * step);
-        let slope = (4.0 * difference(1e-6) - difference(2e-6)) / 3.0;
-        let mut gradients = BTreeMap::new();
-        net.pull_back(traced, d_raw, &vec![0.0; d_log_sigma.len()], &mut gradients).unwrap();
-        let got: f64 = gradients.iter().map(|(name, gradient)| dot(gradient, &direction[name])).sum();
-        assert!((got - slope).abs() < 1e-5 * slope.abs(), "{photos}: {got} {slope}");
-
-        let mut gradients = BTreeMap::new();
-        let again = net.run(&inputs, photos, SIZE.0, SIZE.1).unwrap();
-        net.pull_back(again, &vec![0.0; d_raw.len()], d_log_sigma, &mut gradients).unwrap();
-        for (name, gradient) in gradients {
-            let learns = gradient.iter().any(|&slope| slope != 0.0);
-            assert_eq!(learns, name.starts_with("certainty"), "{name}");
-        }
-    }
 }
 
 fn widened(values: &[f32]) -> Vec<f64> {
