@@ -39,8 +39,7 @@ impl Transfer {
     pub fn decode(self, stored: f32) -> f32 {
         match self {
             Self::Gamma22 => stored.max(0.0).powf(2.2),
-            Self::Srgb if stored <= 0.04045 => stored.max(0.0) / 12.92,
-            Self::Srgb => ((stored + 0.055) / 1.055).powf(2.4),
+            Self::Srgb => single::srgb_decode(stored),
             Self::Linear => stored,
         }
     }
@@ -49,12 +48,31 @@ impl Transfer {
     pub fn encode(self, linear: f32) -> f32 {
         match self {
             Self::Gamma22 => linear.max(0.0).powf(1.0 / 2.2),
-            Self::Srgb if linear <= 0.003_130_8 => linear.max(0.0) * 12.92,
-            Self::Srgb => 1.055 * linear.powf(1.0 / 2.4) - 0.055,
+            Self::Srgb => single::srgb_encode(linear),
             Self::Linear => linear,
         }
     }
 }
+
+/// sRGB's curve (IEC 61966-2-1) for floats of one precision.
+macro_rules! srgb_curve {
+    ($precision:ident, $float:ty) => {
+        pub(crate) mod $precision {
+            /// Linear value of a stored one; of negative ones 0.
+            pub fn srgb_decode(stored: $float) -> $float {
+                if stored <= 0.04045 { stored.max(0.0) / 12.92 } else { ((stored + 0.055) / 1.055).powf(2.4) }
+            }
+
+            /// The inverse of [`srgb_decode`].
+            pub fn srgb_encode(linear: $float) -> $float {
+                if linear <= 0.003_130_8 { linear.max(0.0) * 12.92 } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
+            }
+        }
+    };
+}
+
+srgb_curve!(single, f32);
+srgb_curve!(double, f64);
 
 /// The primaries and white point of linear RGB values in files.
 ///

@@ -151,21 +151,9 @@ impl Stored {
             }
         };
         let (width, height) = if swaps_axes(orientation) { (height, width) } else { (width, height) };
-        let mut notes = self.notes;
-        notes.push(format!("orientation {} of the file applied", orientation.to_exif()));
         let mut camera = self.camera;
-        camera.quarter_turns = quarter_turns(orientation);
-        Ok(Self { width, height, channels, samples, colors: self.colors, camera, notes })
-    }
-}
-
-/// By how many quarters a picture is turned, clockwise; a mirrored one by none.
-fn quarter_turns(orientation: Orientation) -> u8 {
-    match orientation {
-        Orientation::Rotate90 => 1,
-        Orientation::Rotate180 => 2,
-        Orientation::Rotate270 => 3,
-        _ => 0,
+        camera.orientation = Some(orientation.to_exif());
+        Ok(Self { width, height, samples, camera, ..self })
     }
 }
 

@@ -38,8 +38,8 @@ pub(crate) struct CameraData {
     pub exposure: Option<f64>,
     /// Whether the flash fired.
     pub flash_fired: Option<bool>,
-    /// By how many quarters the picture was turned clockwise after it was taken.
-    pub quarter_turns: u8,
+    /// The orientation tag by which the picture was turned or mirrored, 2 to 8; `None` if it is as the camera took it.
+    pub orientation: Option<u8>,
 }
 
 impl Exif {
@@ -89,8 +89,18 @@ impl CameraData {
                 .zip(fraction(tag::F_NUMBER))
                 .zip(whole(tag::SENSITIVITY))
                 .map(|((time, f_number), sensitivity)| time * sensitivity / (f_number * f_number)),
-            quarter_turns: 0,
+            orientation: None,
             flash_fired: photo.number(tag::FLASH).map(|flash| flash & 1 == 1),
+        }
+    }
+
+    /// By how many quarters the picture was turned clockwise after it was taken; a mirrored one by none.
+    pub fn quarter_turns(&self) -> u8 {
+        match self.orientation {
+            Some(6) => 1,
+            Some(3) => 2,
+            Some(8) => 3,
+            _ => 0,
         }
     }
 
