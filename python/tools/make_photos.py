@@ -9,6 +9,7 @@ import argparse
 import json
 import sys
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -34,11 +35,26 @@ class Lens:
     def directions(self, pixels, size):
         """x / z and y / z of pixels (N, 2), y down."""
         seen = (pixels - np.array(size) / 2) / (self.focal_length * max(size))
-        found = seen.copy()
-        for _ in range(12):
-            r2 = (found**2).sum(-1, keepdims=True)
-            found = seen / (1 + r2 * (self.radial[0] + r2 * self.radial[1]))
-        return found
+        return seen * self._shrunk(np.einsum("ij,ij->i", seen, seen))[:, None]
+
+    def pixels(self, directions, size):
+        """The inverse: where x / z and y / z, (N, 2), are in the picture."""
+        r2 = (directions**2).sum(-1, keepdims=True)
+        return directions * (1 + r2 * (self.radial[0] + r2 * self.radial[1])) * self.focal_length * max(size) + np.array(size) / 2
+
+    def _shrunk(self, seen2):
+        """What the distance from the middle is multiplied by where distortion is taken out, from its square."""
+        return np.interp(seen2, *_table(self.radial, float(np.ceil(np.sqrt(seen2.max())))))
+
+
+@lru_cache
+def _table(radial, reach):
+    """Squares of distances from the middle, and what those are multiplied by where distortion is taken out."""
+    seen = np.linspace(0, reach, 20000)
+    found = seen.copy()
+    for _ in range(30):
+        found = seen / (1 + found**2 * (radial[0] + found**2 * radial[1]))
+    return seen**2, np.divide(found, seen, out=np.ones_like(seen), where=seen > 0)
 
 
 @dataclass
@@ -89,18 +105,17 @@ def pattern(x, y):
     return np.clip(np.stack([base, 0.8 * base + 0.05, 0.5 * base + 0.1 * np.sin(x / 15)], -1), 0.01, 0.95)
 
 
-def albedo(scene, x, y):
-    """Diffuse albedo of what lies at positions in mm."""
+def paper(scene, x, y):
+    """Diffuse albedo of the page, or of what it lies on, at positions in mm."""
     column = (x + CENTER[0]) * scene.pixels_per_mm - 0.5
     row = (CENTER[1] - y) * scene.pixels_per_mm - 0.5
     height, width = scene.page.shape
-    c, r = np.clip(np.floor(column).astype(int), 0, width - 2), np.clip(np.floor(row).astype(int), 0, height - 2)
+    c, r = np.clip(column.astype(int), 0, width - 2), np.clip(row.astype(int), 0, height - 2)
     fc, fr = np.clip(column - c, 0, 1), np.clip(row - r, 0, 1)
     p = scene.page
-    paper = (1 - fr) * ((1 - fc) * p[r, c] + fc * p[r, c + 1]) + fr * ((1 - fc) * p[r + 1, c] + fc * p[r + 1, c + 1])
+    found = (1 - fr) * ((1 - fc) * p[r, c] + fc * p[r, c + 1]) + fr * ((1 - fc) * p[r + 1, c] + fc * p[r + 1, c + 1])
     on_page = (column > 0) & (row > 0) & (column < width - 1) & (row < height - 1)
-    paper = np.where(on_page, paper, 0.25)
-    return np.broadcast_to(paper[..., None], (*paper.shape, 3))
+    return np.where(on_page, found, 0.25)
 
 
 def axes(shot):
@@ -122,39 +137,47 @@ def light_position(scene, shot):
 
 def photograph(scene, shot, seed=0, samples=3):
     """An 8-bit sRGB photo, (H, W, 3)."""
-    rng = np.random.default_rng(seed)
     width, height = shot.size
-    camera, frame, light = np.array(shot.camera, float), axes(shot), light_position(scene, shot)
-    out = np.zeros((height, width, 3))
-    for k in range(samples * samples):
-        dx, dy = (k % samples + 0.5) / samples, (k // samples + 0.5) / samples
-        pixels = np.stack(np.meshgrid(np.arange(width) + dx, np.arange(height) + dy), -1).reshape(-1, 2)
-        direction = scene.lens.directions(pixels, shot.size)
-        rays = direction @ frame[:2] + frame[2]
-
-        def hit(z):
-            return camera + rays * ((z - camera[2]) / np.minimum(rays[:, 2], -1e-9))[:, None]
-
-        point = hit(0.0)
-        color = albedo(scene, point[:, 0], point[:, 1])
-        inside = (np.abs(point[:, :2]) < WINDOW / 2).all(-1)
-        below = hit(-scene.depth)
-        color = np.where(inside[:, None], pattern(below[:, 0], below[:, 1]), color)
-        point = np.where(inside[:, None], below, point)
-        to_light = light - point
-        d = np.linalg.norm(to_light, axis=-1)
-        beam = np.clip((to_light @ -frame[2]) / d, 0, 1) ** scene.beam
-        irradiance = np.clip(to_light[:, 2], 0, None) / d**3 * beam
-        light_on = irradiance[:, None] * np.array(scene.intensity) * shot.flash + np.array(scene.room)
-        if scene.vignetting:
-            light_on = light_on / ((1 + (direction**2).sum(-1)) ** 2)[:, None]
-        radiance = color / np.pi * light_on * shot.exposure
-        out += radiance.reshape(height, width, 3) / samples**2
+    out = np.empty((height, width, 3))
+    # Few rows at a time stay in the processor's cache.
+    for top in range(0, height, 32):
+        bottom = min(height, top + 32)
+        offsets = [((k % samples + 0.5) / samples, (k // samples + 0.5) / samples) for k in range(samples**2)]
+        out[top:bottom] = sum(_radiance(scene, shot, top, bottom, *offset) for offset in offsets) / samples**2
     for _ in range(shot.blur):
         out = (out + np.roll(out, 1, 1) + np.roll(out, -1, 1)) / 3
-    out = out + scene.noise * np.sqrt(np.clip(out, 1e-4, None)) * rng.standard_normal(out.shape)
-    out = np.clip(out, 0, 1)
+    noise = np.random.default_rng(seed).standard_normal(out.shape, np.float32)
+    out = np.clip(out + scene.noise * np.sqrt(np.clip(out, 1e-4, None)) * noise, 0, 1)
     return np.round(255 * encode(out, scene.tone)).astype(np.uint8)
+
+
+def _radiance(scene, shot, top, bottom, dx, dy):
+    """Radiance in rows of a photo, (rows, W, 3), at points within its pixels."""
+    camera, frame, light = np.array(shot.camera, float), axes(shot), light_position(scene, shot)
+    width = shot.size[0]
+    pixels = np.stack(np.meshgrid(np.arange(width) + dx, np.arange(top, bottom) + dy), -1).reshape(-1, 2)
+    u, v = scene.lens.directions(pixels, shot.size).T
+    ray = [u * frame[0, i] + v * frame[1, i] + frame[2, i] for i in range(3)]
+    down = np.minimum(ray[2], -1e-9)
+
+    def hit(z):
+        far = (z - camera[2]) / down
+        return [camera[0] + far * ray[0], camera[1] + far * ray[1], np.full_like(far, z)]
+
+    point = hit(0.0)
+    color = np.repeat(paper(scene, point[0], point[1])[:, None], 3, 1)
+    inside = np.flatnonzero((np.abs(point[0]) < WINDOW / 2) & (np.abs(point[1]) < WINDOW / 2))
+    below = hit(-scene.depth)
+    for axis in range(3):
+        point[axis][inside] = below[axis][inside]
+    color[inside] = pattern(point[0][inside], point[1][inside])
+    to_light = [light[i] - point[i] for i in range(3)]
+    d2 = to_light[0] ** 2 + to_light[1] ** 2 + to_light[2] ** 2
+    cosine = -(to_light[0] * frame[2, 0] + to_light[1] * frame[2, 1] + to_light[2] * frame[2, 2]) / np.sqrt(d2)
+    irradiance = np.clip(to_light[2], 0, None) / d2**1.5 * np.clip(cosine, 0, 1) ** scene.beam
+    vignetting = 1 / (1 + u**2 + v**2) ** 2 if scene.vignetting else np.ones_like(u)
+    seen = color * (np.array(scene.intensity) * shot.flash * irradiance[:, None] + np.array(scene.room)) * (vignetting * shot.exposure / np.pi)[:, None]
+    return seen.reshape(bottom - top, width, 3)
 
 
 def encode(linear, tone):
@@ -191,16 +214,33 @@ def shifts(rectified, expected, block=64):
     return found
 
 
-def compare(capture, report, scene, shots):
-    """Errors of a `svbrdf_gcn.Capture` of photos 0.png, 1.png, ...: dictionaries of lists."""
+def fall_off_error(lens, scene, shot):
+    """RMS error of what `acquire` took for the fall-offs of lens and flash in a photo of the sheet, up to a factor."""
+    at = np.linspace(-77, 77, 24)
+    x, y = np.meshgrid(at, at)
+    u, v, z = (axes(shot) @ (np.stack([x.ravel(), y.ravel(), 0 * x.ravel()]) - np.array(shot.camera)[:, None]))
+    r2 = (u**2 + v**2) / z**2
+
+    def flash2(offset):
+        return ((u - offset[0]) ** 2 + (v + offset[1]) ** 2) / z**2
+
+    true = -2 * np.log1p(r2) * scene.vignetting - scene.beam / 2 * np.log1p(flash2(scene.light_offset))
+    s2 = flash2(lens["light_offset"])
+    (a, b), (c, e) = lens["fall_off"], lens["flash_fall_off"]
+    off = a * r2 + b * r2**2 + c * s2 + e * s2**2 - true
+    return float(off.std())
+
+
+def compare(capture, report, scenes, shots):
+    """Errors of a `svbrdf_gcn.Capture` of photos 0.png, 1.png, ..., each of its scene: dictionaries of lists."""
     used = [int(Path(photo["photo"]).stem) for photo in report["photos"]]
-    errors = {"position": [], "corner": [], "light": [], "albedo": []}
+    errors = {"position": [], "corner": [], "light": [], "albedo": [], "fall_off": []}
     side, patch = capture.height, capture.patch_size
     at = (np.arange(side) + 0.5) / side * patch - patch / 2
     truth = pattern(*np.meshgrid(at, -at))
     gains = []
     for i, index in enumerate(used):
-        shot = shots[index]
+        scene, shot = scenes[index], shots[index]
         place = np.array(shot.camera) + [0, 0, scene.depth]
         errors["position"].append(float(np.linalg.norm(capture.camera_positions[i] - place) / np.linalg.norm(place)))
         gains.append(np.array(capture.light_intensity[i]) / (np.array(scene.intensity) * shot.exposure))
@@ -209,6 +249,7 @@ def compare(capture, report, scene, shots):
         irradiance = to_light[..., 2] / np.linalg.norm(to_light, axis=-1) ** 3
         found = capture.photos[i] * np.pi / (irradiance[..., None] * np.array(capture.light_intensity[i]))
         errors["corner"].extend(shifts(found, truth))
+        errors["fall_off"].append(fall_off_error(report["lenses"][report["photos"][i]["lens"]], scene, shot))
         errors["albedo"].append(float(np.sqrt(np.mean((found / truth - 1) ** 2))))
     gains = np.array(gains)
     errors["light"] = np.abs(gains / np.median(gains, 0) - 1).max(-1).tolist()
