@@ -1,4 +1,5 @@
 //! Materials (SVBRDF maps) from flash photos.
+#![cfg_attr(not(feature = "acquire"), allow(dead_code, unused_imports, reason = "what raw photos alone need"))]
 
 pub mod acquire;
 pub mod brdf;

@@ -459,6 +459,25 @@ fn another_light_intensity_replaces_what_is_stated() {
 }
 
 #[test]
+fn what_acquire_found_is_read() {
+    let photos = r#"[{"file": "a.png", "camera": [0, 0, 20]}]"#;
+    let folder = |acquisition: &str| {
+        json_folder(
+            &json(&format!("\"acquisition\": {acquisition},"), photos).replace("\"version\": 1", "\"version\": 2"),
+        )
+    };
+    let found = r#"{"photos": [{"file": "a.png", "photo": "1.jpg", "position_error": 0.004, "paper_error": 0.1}], "assumptions": ["flat"], "size": 4}"#;
+    let capture = Capture::open(folder(found).path()).unwrap();
+    let acquired = capture.acquired().unwrap();
+    assert_eq!((acquired.photos.len(), acquired.photos[0].file.as_str()), (1, "a.png"));
+    assert_eq!((acquired.photos[0].position_error, acquired.photos[0].paper_error), (Some(0.004), Some(0.1)));
+    assert_eq!(acquired.assumptions, ["flat"]);
+    assert_eq!(capture.select(&[0]).unwrap(), capture);
+    assert_eq!(Capture::open(folder("null").path()).unwrap().acquired(), None);
+    assert_mentions(&message(folder(r#"{"photos": 3}"#).path()), &["acquisition", "expected a sequence"]);
+}
+
+#[test]
 fn masks_of_version_2_say_what_is_saturated() {
     let mask = |size: &[u16]| files::png(4, 2, 2, 8, size);
     let photos = r#"[{"file": "a.png", "camera": [0, 0, 20], "saturated": "mask.png"}]"#;

@@ -1,4 +1,4 @@
-//! From raw photos of a printed sheet to a capture.
+//! From raw photos to a capture.
 
 use std::ffi::c_char;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use crate::options::{read_or_defaults, svbrdf_gcn_acquire_options};
 use crate::progress::{Callback, token_or_new};
 use crate::status::{Failure, svbrdf_gcn_status};
 
-/// Makes a capture of photos that show the sample in the window of a printed sheet (`svbrdf-gcn sheet`, docs/capturing.md).
+/// Makes a capture of photos that show the sample in the window of a printed sheet (`svbrdf-gcn sheet`, docs/capturing.md), or of which the patch's corners are known.
 ///
 /// `photo_paths_utf8` are the paths of `photo_count` files; `options` may be NULL for the defaults. Photos that cannot be used are left out, and named in the report
 /// (`svbrdf_gcn_capture_report_json`) and among the warnings. Positions are in millimetres. Destroy the capture with `svbrdf_gcn_capture_destroy`.
@@ -40,8 +40,8 @@ pub unsafe extern "C" fn svbrdf_gcn_acquire(
         // SAFETY: as many pointers as the caller said, each NULL or a string.
         let photo = |i: usize| unsafe { path("photo_paths_utf8", photo_paths_utf8.add(i).read_unaligned()) };
         let photos = (0..photo_count).map(|i| photo(i).map(PathBuf::from)).collect::<Result<Vec<_>, _>>()?;
-        // SAFETY: NULL or a string, says the caller.
-        let acquire_options = unsafe { options.acquire_options(cancel) }?;
+        // SAFETY: NULL or a string, and NULL or eight numbers for each photo, says the caller.
+        let acquire_options = unsafe { options.acquire_options(photo_count, cancel) }?;
         let mut callback = Callback::new(options.progress, options.progress_user_data);
         let acquisition = acquire(&photos, &acquire_options, &mut |progress| callback.call(progress));
         callback.check()?;
@@ -52,7 +52,7 @@ pub unsafe extern "C" fn svbrdf_gcn_acquire(
     })
 }
 
-/// What `svbrdf_gcn_acquire` found, as JSON: `photos`, those `left_out` with the reason, `lenses`, `warnings`. "null" for captures that came about otherwise; NULL if
+/// What `svbrdf_gcn_acquire` found, as JSON: `photos`, those `left_out` with the reason, `lenses`, `warnings`; `assumptions` where there was no sheet. "null" for captures that came about otherwise; NULL if
 /// `capture` is. Valid as long as the capture.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn svbrdf_gcn_capture_report_json(capture: *const svbrdf_gcn_capture) -> *const c_char {

@@ -3,7 +3,7 @@
 use std::ffi::{c_char, c_void};
 use std::ptr;
 
-use svbrdf_gcn::acquire::{AcquireOptions, Sheet};
+use svbrdf_gcn::acquire::{AcquireOptions, Corners, Sheet};
 use svbrdf_gcn::capture::MAX_PHOTOS;
 use svbrdf_gcn::io::material::{MaterialFormat, SaveOptions};
 use svbrdf_gcn::{
@@ -485,7 +485,7 @@ pub unsafe extern "C" fn svbrdf_gcn_capture_options_init(
     unsafe { init("options", options, struct_size) }
 }
 
-/// How photos of a printed sheet become a capture; lengths are in millimetres. Always fill it with `svbrdf_gcn_acquire_options_init` first.
+/// How photos of a printed sheet, or photos of which the patch's corners are known, become a capture; lengths are in millimetres. Always fill it with `svbrdf_gcn_acquire_options_init` first.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct svbrdf_gcn_acquire_options {
@@ -517,6 +517,11 @@ pub struct svbrdf_gcn_acquire_options {
     pub progress_user_data: *mut c_void,
     /// Stops the work from another thread; NULL, the default: nothing does. It has to live until the call returns.
     pub cancel: *const svbrdf_gcn_cancel_token,
+    /// There is no sheet: eight numbers for each photo, the corners of the sample's square patch as x, y in pixels of the photo as viewers show it, from the upper left on
+    /// clockwise. NULL, the default: photos show a sheet. What is said of a sheet does not count beside them.
+    pub corners: *const f64,
+    /// Width of the patch whose corners are given; 0 by default.
+    pub patch_width: f64,
 }
 
 impl SizeFirst for svbrdf_gcn_acquire_options {
@@ -538,16 +543,33 @@ impl SizeFirst for svbrdf_gcn_acquire_options {
             progress: None,
             progress_user_data: ptr::null_mut(),
             cancel: ptr::null(),
+            corners: ptr::null(),
+            patch_width: 0.0,
         }
     }
 }
 
 impl svbrdf_gcn_acquire_options {
     /// # Safety
-    /// `dark_photo_utf8` is NULL or a NUL-terminated string.
-    pub(crate) unsafe fn acquire_options(&self, cancel: CancelToken) -> Result<AcquireOptions> {
-        let sheet = if self.frame_width == 0.0 { Sheet::new(self.window) } else { Sheet::tags16(self.frame_width) };
-        let mut options = AcquireOptions::new(sheet?.with_printed_bar(self.printed_bar)?);
+    /// `dark_photo_utf8` is NULL or a NUL-terminated string, `corners` NULL or eight numbers for each of the `photos`.
+    pub(crate) unsafe fn acquire_options(&self, photos: usize, cancel: CancelToken) -> Result<AcquireOptions> {
+        let mut options = if self.corners.is_null() {
+            if self.patch_width != 0.0 {
+                return Err(Failure::invalid(
+                    "patch_width",
+                    format!(
+                        "is that of the patch whose corners are given: expected 0 without corners, got {}",
+                        self.patch_width
+                    ),
+                ));
+            }
+            let sheet = if self.frame_width == 0.0 { Sheet::new(self.window) } else { Sheet::tags16(self.frame_width) };
+            AcquireOptions::new(sheet?.with_printed_bar(self.printed_bar)?)
+        } else {
+            // SAFETY: the caller's word.
+            let photo = |i: usize| unsafe { self.corners.cast::<[[f64; 2]; 4]>().add(i).read_unaligned() };
+            AcquireOptions::of_corners(Corners::new(self.patch_width, (0..photos).map(photo).collect())?)
+        };
         options.depth = self.depth;
         let is_found = choose("find_light_offset", self.find_light_offset, &[(0, false), (1, true)])?;
         options.light_offset = (!is_found).then_some(self.light_offset);
@@ -806,8 +828,8 @@ mod tests {
         let ours = unsafe { defaults.capture_options() }.unwrap();
         assert_eq!(format!("{ours:?}"), format!("{:?}", CaptureOptions::new()));
         assert_eq!(svbrdf_gcn_save_options::defaults().save_options().unwrap(), SaveOptions::default());
-        // SAFETY: there is no photo without flash.
-        let ours = unsafe { svbrdf_gcn_acquire_options::defaults().acquire_options(CancelToken::new()) }.unwrap();
+        // SAFETY: there is no photo without flash, and there are no corners.
+        let ours = unsafe { svbrdf_gcn_acquire_options::defaults().acquire_options(0, CancelToken::new()) }.unwrap();
         let core = AcquireOptions::new(Sheet::new(100.0).unwrap());
         assert_eq!(format!("{ours:?}"), format!("{core:?}"));
     }
@@ -848,14 +870,14 @@ mod tests {
                 fill(&mut acquire, &bytes);
             }
             (capture.views, capture.cancel, export.name) = (ptr::null(), ptr::null(), ptr::null());
-            acquire.dark_photo_utf8 = ptr::null();
+            (acquire.dark_photo_utf8, acquire.corners) = (ptr::null(), ptr::null());
             let fit = options.fit_options(CancelToken::new());
             if let Ok(fit) = fit {
                 prop_assert_eq!(fit.seed, options.seed);
             }
-            // SAFETY: there are no views, no token, no name and no photo without flash.
+            // SAFETY: there are no views, no token, no name, no photo without flash and no corners.
             let others = unsafe {
-                (capture.capture_options(), export.export_options(), acquire.acquire_options(CancelToken::new()))
+                (capture.capture_options(), export.export_options(), acquire.acquire_options(0, CancelToken::new()))
             };
             drop((others, save.save_options()));
         }

@@ -620,7 +620,7 @@ typedef struct svbrdf_gcn_progress {
 typedef int32_t (*svbrdf_gcn_progress_fn)(void *user_data, const struct svbrdf_gcn_progress *progress);
 
 /**
- * How photos of a printed sheet become a capture; lengths are in millimetres. Always fill it with `svbrdf_gcn_acquire_options_init` first.
+ * How photos of a printed sheet, or photos of which the patch's corners are known, become a capture; lengths are in millimetres. Always fill it with `svbrdf_gcn_acquire_options_init` first.
  */
 typedef struct svbrdf_gcn_acquire_options {
   /**
@@ -679,6 +679,15 @@ typedef struct svbrdf_gcn_acquire_options {
    * Stops the work from another thread; NULL, the default: nothing does. It has to live until the call returns.
    */
   const struct svbrdf_gcn_cancel_token *cancel;
+  /**
+   * There is no sheet: eight numbers for each photo, the corners of the sample's square patch as x, y in pixels of the photo as viewers show it, from the upper left on
+   * clockwise. NULL, the default: photos show a sheet. What is said of a sheet does not count beside them.
+   */
+  const double *corners;
+  /**
+   * Width of the patch whose corners are given; 0 by default.
+   */
+  double patch_width;
 } svbrdf_gcn_acquire_options;
 
 /**
@@ -988,7 +997,7 @@ uint32_t svbrdf_gcn_abi_version(void);
 const char *svbrdf_gcn_version(void);
 
 /**
- * Makes a capture of photos that show the sample in the window of a printed sheet (`svbrdf-gcn sheet`, docs/capturing.md).
+ * Makes a capture of photos that show the sample in the window of a printed sheet (`svbrdf-gcn sheet`, docs/capturing.md), or of which the patch's corners are known.
  *
  * `photo_paths_utf8` are the paths of `photo_count` files; `options` may be NULL for the defaults. Photos that cannot be used are left out, and named in the report
  * (`svbrdf_gcn_capture_report_json`) and among the warnings. Positions are in millimetres. Destroy the capture with `svbrdf_gcn_capture_destroy`.
@@ -999,7 +1008,7 @@ svbrdf_gcn_status svbrdf_gcn_acquire(const char *const *photo_paths_utf8,
                                      struct svbrdf_gcn_capture **out);
 
 /**
- * What `svbrdf_gcn_acquire` found, as JSON: `photos`, those `left_out` with the reason, `lenses`, `warnings`. "null" for captures that came about otherwise; NULL if
+ * What `svbrdf_gcn_acquire` found, as JSON: `photos`, those `left_out` with the reason, `lenses`, `warnings`; `assumptions` where there was no sheet. "null" for captures that came about otherwise; NULL if
  * `capture` is. Valid as long as the capture.
  */
 const char *svbrdf_gcn_capture_report_json(const struct svbrdf_gcn_capture *capture);

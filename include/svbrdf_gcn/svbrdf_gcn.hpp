@@ -286,7 +286,7 @@ struct CaptureOptions {
     std::optional<Vec3> light_intensity;
 };
 
-/// How photos of a printed sheet become a capture; lengths are in millimetres.
+/// How photos of a printed sheet, or photos of which the patch's corners are known, become a capture; lengths are in millimetres.
 struct AcquireOptions {
     /// Width of the window of our own sheet.
     double window = 100.0;
@@ -310,6 +310,11 @@ struct AcquireOptions {
     std::optional<std::int64_t> max_memory;
     /// Stops the work from another thread; has to live until the call returns.
     const CancelToken *cancel = nullptr;
+    /// There is no sheet: for each photo the corners of the sample's square patch, x, y in pixels of the photo as viewers show it, from the upper left on clockwise.
+    /// What is said of a sheet does not count beside them.
+    std::vector<std::array<double, 8>> corners;
+    /// Width of the patch whose corners are given.
+    double patch_width = 0.0;
 };
 
 /// Options of a fit, under the names of the command line.
@@ -488,18 +493,18 @@ private:
     detail::Owner<svbrdf_gcn_capture, svbrdf_gcn_capture_destroy> handle_;
 };
 
-/// A capture made of photos of a printed sheet, and how it came about.
+/// A capture made of raw photos, and how it came about.
 struct Acquisition {
     /// The rectified photos with their positions, in millimetres. Its warnings are those of the report.
     Capture capture;
-    /// What was found: photos, those left_out with the reason, lenses, warnings.
+    /// What was found: photos, those left_out with the reason, lenses, warnings; assumptions where there was no sheet.
     std::string report_json;
 
     /// Writes capture.json, the rectified photos as OpenEXR, for each with saturated pixels a PNG that says which, and `contact-sheet.png`.
     void save(const std::string &folder) const { detail::check(svbrdf_gcn_capture_save(capture.get(), folder.c_str())); }
 };
 
-/// Makes a capture of photos that show the sample in the window of a printed sheet (docs/capturing.md). Photos that cannot be used are left out and named in the report.
+/// Makes a capture of photos that show the sample in the window of a printed sheet, or of which the patch's corners are known (docs/capturing.md). Photos that cannot be used are left out and named in the report.
 inline Acquisition acquire(const std::vector<std::string> &photos, const AcquireOptions &options = {}, const ProgressFunction &progress = {}) {
     std::vector<const char *> paths;
     for (const auto &photo : photos) {
@@ -518,6 +523,12 @@ inline Acquisition acquire(const std::vector<std::string> &photos, const Acquire
     converted.size = options.size.value_or(-1);
     converted.max_memory = options.max_memory.value_or(-1);
     converted.cancel = options.cancel ? options.cancel->get() : nullptr;
+    if (!options.corners.empty() && options.corners.size() != photos.size()) {
+        throw Error(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "corners: expected those of each of the " + std::to_string(photos.size()) + " photos, got those of " +
+                                                         std::to_string(options.corners.size()));
+    }
+    converted.corners = options.corners.empty() ? nullptr : options.corners.front().data();
+    converted.patch_width = options.patch_width;
     Capture capture(detail::reported<svbrdf_gcn_capture>(converted, progress, [&](const auto *how, svbrdf_gcn_capture **out) {
         return svbrdf_gcn_acquire(paths.data(), paths.size(), how, out);
     }));

@@ -3,14 +3,14 @@
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
-use svbrdf_gcn::acquire::{AcquireOptions, Acquisition, Sheet, acquire};
+use svbrdf_gcn::acquire::{AcquireOptions, Acquisition, Corners, Sheet, acquire};
 
-use crate::arrays::ImageArray;
+use crate::arrays::{ImageArray, corners_of};
 use crate::capture::PyCapture;
 use crate::errors::{argument, exception};
 use crate::fit::{PyCancelToken, reported, token};
 use crate::options::{Bytes, Given, LightOffset, Paths, bytes, maybe, maybe_count};
-use crate::types::{Callback, Json};
+use crate::types::{ArrayLike, Callback, Json};
 
 /// Width of the sheet's window in millimetres.
 const WINDOW: f64 = 100.0;
@@ -75,7 +75,7 @@ impl PyAcquisition {
     }
 }
 
-/// Make a capture of photos that show the sample in the window of a printed sheet (``svbrdf-gcn sheet``, docs/capturing.md).
+/// Make a capture of photos that show the sample in the window of a printed sheet (``svbrdf-gcn sheet``, docs/capturing.md), or of which the patch's corners are known.
 ///
 /// Lengths are in millimetres. Photos that cannot be used are left out and named in the report with the reason.
 ///
@@ -100,6 +100,11 @@ impl PyAcquisition {
 ///     A photo of the sheet without flash, exposed as the others: what it shows is subtracted.
 /// paper_white : float, default 0.8
 ///     Diffuse albedo of the paper.
+/// corners : array_like of shape (N, 4, 2) or (N, 8), optional
+///     There is no sheet: for each photo the upper left, upper right, lower right and lower left corner of the sample's square patch, x and y in pixels of
+///     the photo as viewers show it. What is assumed then is in the report (``assumptions``).
+/// patch_width : float, optional
+///     Width of the patch whose corners are given.
 /// max_memory : int or str, optional
 ///     Most bytes the work may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
 /// progress : callable, optional
@@ -132,7 +137,7 @@ impl PyAcquisition {
 /// True
 #[pyfunction]
 #[pyo3(name = "acquire", signature = (photos, *, window = None, frame_width = None, printed_bar = None, depth = Given::Default(0.0), size = None,
-    light_offset = None, dark = None, paper_white = Given::Default(0.8), max_memory = None, progress = None, cancel = None))]
+    light_offset = None, dark = None, paper_white = Given::Default(0.8), corners = None, patch_width = None, max_memory = None, progress = None, cancel = None))]
 #[allow(clippy::too_many_arguments, reason = "they have names in Python")]
 pub fn py_acquire(
     py: Python<'_>,
@@ -145,24 +150,47 @@ pub fn py_acquire(
     light_offset: Option<Given<'_, LightOffset>>,
     dark: Option<Given<'_, PathBuf>>,
     paper_white: Given<'_, f64>,
+    corners: Option<ArrayLike<'_>>,
+    patch_width: Option<Given<'_, f64>>,
     max_memory: Option<Given<'_, Bytes>>,
     progress: Option<Given<'_, Callback>>,
     cancel: Option<Given<'_, Bound<'_, PyCancelToken>>>,
 ) -> PyResult<PyAcquisition> {
     let Paths(photos) = photos.take("photos")?;
     let raised = |error: svbrdf_gcn::Error| exception(py, &error);
-    let sheet = match (maybe("window", window)?, maybe("frame_width", frame_width)?) {
-        (Some(_), Some(_)) => {
-            return Err(argument("frame_width", "is the other sheet's, which has no window, got both"));
+    let (window, frame_width) = (maybe("window", window)?, maybe("frame_width", frame_width)?);
+    let (printed_bar, patch_width) = (maybe("printed_bar", printed_bar)?, maybe("patch_width", patch_width)?);
+    let of_sheets = [("window", window), ("frame_width", frame_width), ("printed_bar", printed_bar)];
+    let given = of_sheets.into_iter().find_map(|(name, value)| Some((name, value?)));
+    if let (Some(_), Some((name, value))) = (&corners, given) {
+        let reason = format_args!("is for photos of a sheet: expected none beside corners, got {value}");
+        return Err(argument(name, reason));
+    }
+    let mut options = match (corners, patch_width) {
+        (Some(corners), Some(width)) => {
+            AcquireOptions::of_corners(Corners::new(width, corners_of(&corners)?).map_err(raised)?)
         }
-        (None, Some(width)) => Sheet::tags16(width).map_err(raised)?,
-        (window, None) => Sheet::new(window.unwrap_or(WINDOW)).map_err(raised)?,
+        (Some(_), None) => {
+            return Err(argument("patch_width", "expected the width of the patch whose corners are given, got None"));
+        }
+        (None, Some(width)) => {
+            return Err(argument(
+                "patch_width",
+                format_args!("is for photos whose corners are given: expected none without corners, got {width}"),
+            ));
+        }
+        (None, None) => {
+            let sheet = match (window, frame_width) {
+                (Some(_), Some(_)) => {
+                    return Err(argument("frame_width", "is the other sheet's, which has no window, got both"));
+                }
+                (None, Some(width)) => Sheet::tags16(width),
+                (window, None) => Sheet::new(window.unwrap_or(WINDOW)),
+            };
+            let scaled = |sheet: Sheet| printed_bar.map_or(Ok(sheet.clone()), |length| sheet.with_printed_bar(length));
+            AcquireOptions::new(sheet.and_then(scaled).map_err(raised)?)
+        }
     };
-    let sheet = match maybe("printed_bar", printed_bar)? {
-        Some(length) => sheet.with_printed_bar(length).map_err(raised)?,
-        None => sheet,
-    };
-    let mut options = AcquireOptions::new(sheet);
     options.depth = depth.take("depth")?;
     options.size = maybe_count("size", size)?;
     options.paper_white = paper_white.take("paper_white")?;

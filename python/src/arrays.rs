@@ -160,6 +160,19 @@ fn copy<T: Element + Default>(array: &Bound<'_, PyAny>, dtype: &str) -> PyResult
     Ok(values)
 }
 
+/// Four corners of each photo, from an array of shape (N, 4, 2) or (N, 8).
+///
+/// # Errors
+/// `ShapeError`, or what numpy raises for something that is not numbers.
+pub fn corners_of(object: &Bound<'_, PyAny>) -> PyResult<Vec<[[f64; 2]; 4]>> {
+    let array = float64("corners", object)?;
+    match shape_of(&array)?.as_slice() {
+        [_, 4, 2] => array.call_method0("tolist")?.extract(),
+        &[count, 8] => array.call_method1("reshape", (count, 4, 2))?.call_method0("tolist")?.extract(),
+        dims => Err(shape("corners", "shape (N, 4, 2) or (N, 8)", tuple(dims))),
+    }
+}
+
 /// `count` rows of three finite or infinite numbers.
 ///
 /// # Errors

@@ -919,9 +919,9 @@ class TrainingData:
         >>> four = data.validation("real", photos=4, size=128, first=0, count=4, views=20)  # doctest: +SKIP
         """
 
-def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | SupportsIndex | None = None, frame_width: SupportsFloat | SupportsIndex | None = None, printed_bar: SupportsFloat | SupportsIndex | None = None, depth: SupportsFloat | SupportsIndex = ..., size: SupportsIndex | None = None, light_offset: Iterable[SupportsFloat | SupportsIndex] | str | None = None, dark: str | PathLike[str] | None = None, paper_white: SupportsFloat | SupportsIndex = ..., max_memory: SupportsIndex | str | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Acquisition:
+def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | SupportsIndex | None = None, frame_width: SupportsFloat | SupportsIndex | None = None, printed_bar: SupportsFloat | SupportsIndex | None = None, depth: SupportsFloat | SupportsIndex = ..., size: SupportsIndex | None = None, light_offset: Iterable[SupportsFloat | SupportsIndex] | str | None = None, dark: str | PathLike[str] | None = None, paper_white: SupportsFloat | SupportsIndex = ..., corners: ArrayLike | None = None, patch_width: SupportsFloat | SupportsIndex | None = None, max_memory: SupportsIndex | str | None = None, progress: Callable[[Progress], object] | None = None, cancel: CancelToken | None = None) -> Acquisition:
     """
-    Make a capture of photos that show the sample in the window of a printed sheet (``svbrdf-gcn sheet``, docs/capturing.md).
+    Make a capture of photos that show the sample in the window of a printed sheet (``svbrdf-gcn sheet``, docs/capturing.md), or of which the patch's corners are known.
 
     Lengths are in millimetres. Photos that cannot be used are left out and named in the report with the reason.
 
@@ -946,6 +946,11 @@ def acquire(photos: Iterable[str | PathLike[str]], *, window: SupportsFloat | Su
         A photo of the sheet without flash, exposed as the others: what it shows is subtracted.
     paper_white : float, default 0.8
         Diffuse albedo of the paper.
+    corners : array_like of shape (N, 4, 2) or (N, 8), optional
+        There is no sheet: for each photo the upper left, upper right, lower right and lower left corner of the sample's square patch, x and y in pixels of
+        the photo as viewers show it. What is assumed then is in the report (``assumptions``).
+    patch_width : float, optional
+        Width of the patch whose corners are given.
     max_memory : int or str, optional
         Most bytes the work may use, such as ``4000000000`` or ``"2G"``; three quarters of the free memory if not given.
     progress : callable, optional

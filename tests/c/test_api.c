@@ -641,8 +641,10 @@ static void cancelling(const svbrdf_gcn_capture *capture, const svbrdf_gcn_mater
 
 /* Photos of a printed sheet; under valgrind, which takes minutes for one, only what is refused. */
 static void acquiring(void) {
+    /* Of the first photo clockwise, of the second not. */
+    const double corners[16] = {20, 20, 230, 22, 235, 230, 18, 236, 20, 20, 18, 236, 235, 230, 230, 22};
     char paths[5][1024], text[1024];
-    const char *photos[5];
+    const char *photos[5], *photo;
     size_t count = 5, i;
     svbrdf_gcn_acquire_options options;
     svbrdf_gcn_options fit_options = draft();
@@ -680,6 +682,21 @@ static void acquiring(void) {
     options.max_memory = 1000;
     FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_ERR_OUT_OF_MEMORY, "allowed are 1000");
     options.max_memory = -1;
+    options.patch_width = 96;
+    FAILS(svbrdf_gcn_acquire(photos, count, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "patch_width: is that of the patch whose corners are given");
+    options.corners = corners;
+    FAILS(svbrdf_gcn_acquire(photos, 2, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "corners: of photo 1");
+    FAILS(svbrdf_gcn_acquire(photos, 1, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "depth");
+    options.depth = 0;
+    path_of(text, samples, "tiles/00.png");
+    photo = text;
+    OK(svbrdf_gcn_acquire(&photo, 1, &options, &capture));
+    CHECK(strstr(svbrdf_gcn_capture_report_json(capture), "\"assumptions\":[\"the patch is a flat square") != NULL);
+    svbrdf_gcn_capture_destroy(capture);
+    capture = NULL;
+    options.corners = NULL;
+    options.patch_width = 0;
+    options.depth = 1;
     if (quick) {
         photos[0] = path_of(paths[0], samples, "tiles/00.png");
         FAILS(svbrdf_gcn_acquire(photos, 1, &options, &none), SVBRDF_GCN_ERR_INVALID_ARGUMENT, "none can be used");

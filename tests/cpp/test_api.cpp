@@ -243,6 +243,13 @@ int main(int argc, char **argv) try {
         acquiring.frame_width = 170.0;
         CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "0 of the sheet's 16 tags", [&] { acquire(photos, acquiring); }));
         CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "photos", [] { acquire({}); }));
+        AcquireOptions cornered;
+        cornered.size = 32;
+        cornered.patch_width = 96;
+        cornered.corners = {{20, 20, 230, 22, 235, 230, 18, 236}};
+        const auto flat = acquire({samples + "/tiles/00.png"}, cornered);
+        CHECK(flat.capture.height() == 32 && flat.report_json.find("\"assumptions\":[") != std::string::npos);
+        CHECK(throws(SVBRDF_GCN_ERR_INVALID_ARGUMENT, "corners: expected those of each of the 2 photos, got those of 1", [&] { acquire({"a.png", "b.png"}, cornered); }));
         CaptureOptions lit;
         lit.light_intensity = Vec3{17, 18, 19};
         CHECK(Capture::open(samples + "/tiles/00.png", lit).shot(0).light_intensity == Vec3{17, 18, 19});

@@ -33,6 +33,11 @@ def sheet(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def page(sheet):
+    return make_photos.page(sheet, finer=2)
+
+
 @pytest.mark.parametrize(("paper", "size"), [("a4", (210.0, 297.0)), ("letter", (215.9, 279.4)), ("a3", (297.0, 420.0))])
 def test_the_sheet_is_true_to_scale(tmp_path, paper, size):
     path = tmp_path / "sheet.pdf"
@@ -83,16 +88,16 @@ def acquired(folder, scene, shots, *arguments):
     return photos, svbrdf_gcn.Capture.open(out), report
 
 
-def test_photos_become_their_capture(tmp_path, sheet):
-    scene = make_photos.Scene(make_photos.page(sheet), 12.0, make_photos.Lens(), depth=1.0, light_offset=(12.0, 5.0))
-    shots = make_photos.around(6, size=(1200, 800))
+def test_photos_become_their_capture(tmp_path, page):
+    scene = make_photos.Scene(page, 12.0, make_photos.Lens(), depth=1.0, light_offset=(12.0, 5.0))
+    shots = make_photos.around(6, size=(900, 600))
     # One upside down, one upright, one blurred.
     shots[2].roll += np.pi
-    shots[3].size = (800, 1200)
-    shots[4].blur = 12
+    shots[3].size = (600, 900)
+    shots[4].blur = 7
     photos, capture, report = acquired(tmp_path, scene, shots, "--depth", "1mm", "--light-offset", "12,5")
     assert [photo["tags"] for photo in report["photos"]] == [16] * 6 and not report["left_out"]
-    errors = make_photos.compare(capture, report, scene, shots)
+    errors = make_photos.compare(capture, report, [scene] * len(shots), shots)
     assert np.median(errors["position"]) < 0.002 and max(errors["position"]) < 0.01, errors
     assert np.median(errors["corner"]) < 0.3, errors
     assert np.median(errors["light"]) < 0.02 and max(errors["light"]) < 0.05, errors
@@ -110,6 +115,58 @@ def test_photos_become_their_capture(tmp_path, sheet):
     assert [missing["camera"][2] > 150 for missing in report["missing"]].count(False) == 0
     for name in ("capture.json", "00.exr", "contact-sheet.png"):
         assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "capture" / name).read_bytes()
+
+
+def corners_in(scene, shot):
+    """The corners of the patch in a photo, as near as a hand clicks in one of 3000 pixels."""
+    half = make_photos.WINDOW / 2 * 0.96
+    points = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]]) - shot.camera
+    seen = points @ make_photos.axes(shot).T
+    return 0.3 * np.round(scene.lens.pixels(seen[:, :2] / seen[:, 2:], shot.size) / 0.3)
+
+
+def test_corners_tell_where_photos_without_a_sheet_were_taken(tmp_path, page):
+    """No EXIF data: the focal length comes from the corners."""
+    scene = make_photos.Scene(np.full_like(page[:8, :8], 0.3), 12.0, make_photos.Lens(radial=(0.02, -0.02)), vignetting=False, beam=0.0)
+    shots = make_photos.around(5, size=(900, 600))
+    for shot in shots:
+        shot.exposure = 0.5
+    corners = [corners_in(scene, shot) for shot in shots]
+    photos = [tmp_path / f"{i}.png" for i in range(len(shots))]
+    for i, shot in enumerate(shots):
+        png.write(photos[i], make_photos.photograph(scene, shot, i, samples=2))
+    acquisition = svbrdf_gcn.acquire(photos, corners=corners, patch_width=96, size=256)
+    report, capture = acquisition.report, acquisition.capture
+    errors = make_photos.compare(capture, report, [scene] * len(shots), shots)
+    assert max(errors["position"]) < 0.01, errors
+    assert capture.patch_size == 96 and capture.unit == "mm" and not report["left_out"]
+    # One light for all, under which 99 % of the albedos are at most 0.9: the pattern's brightest is known.
+    brightest = np.percentile(make_photos.pattern(*np.meshgrid(np.linspace(-48, 48, 256), np.linspace(48, -48, 256))).max(-1), 99)
+    light = np.array(capture.light_intensity)
+    assert np.ptp(light) == 0 and light[0, 0] == pytest.approx(0.5 * scene.intensity[0] * brightest / 0.9, rel=0.05)
+    said = " | ".join(report["assumptions"])
+    for words in ("a flat square", "from the corners of all photos", "no EXIF data", "the flash is at the lens", "as bright in every photo"):
+        assert words in said, said
+    # The same by the command line, and its file of corners; the verdict names what is assumed.
+    numbers = [",".join(map(str, one.ravel())) for one in corners]
+    flags = [word for one in numbers for word in ("--corners", one)]
+    run = command("acquire", *photos, "-o", tmp_path / "flags", "--json", "--size", 256, "--patch-width", "9.6cm", *flags)
+    assert json.loads(run.stdout)["report"] == report and "assumed: the patch is a flat square" in run.stderr
+    (tmp_path / "corners.json").write_text(json.dumps({f"{i}.png": one.tolist() for i, one in enumerate(corners)}))
+    run = command("fit", photos[0], "-o", tmp_path / "fit", "--json", "--size", 32, "--preset", "draft", "--patch-width", 96, "--corners", tmp_path / "corners.json")
+    reasons = {reason["code"]: reason["text"] for reason in json.loads(run.stdout)["report"]["reasons"]}
+    assert "a usual one: no EXIF data tell it" in reasons["assumed"] and (tmp_path / "fit" / "capture" / "capture.json").exists()
+    # What is wrong is named.
+    for arguments, said in [
+        (("--corners", "1,2,3"), "expected eight numbers"),
+        (("--corners", numbers[0]), "expected those of each of the 2 photos, got those of 1"),
+        (("--corners", tmp_path / "corners.json", "--depth", "1mm"), "cannot be used with"),
+        (("--corners", numbers[0], "--corners", ",".join(map(str, corners[1][::-1].ravel()))), "of photo 1: expected x,y of the upper left corner"),
+        (("--corners", tmp_path / "corners.json", "--light-offset", "auto"), "without a sheet it cannot be found"),
+    ]:
+        assert said in command("acquire", *photos[:2], "-o", tmp_path / "no", "--patch-width", 96, *arguments, code=2).stderr
+    assert "1.jpg" in command("acquire", tmp_path / "1.jpg", "-o", tmp_path / "no", "--patch-width", 96, "--corners", tmp_path / "corners.json", code=2).stderr
+    assert "are for photos" in command("fit", tmp_path / "flags", "-o", tmp_path / "no", "--patch-width", 96, "--corners", numbers[0], code=2).stderr
 
 
 def test_path_traced_photos_of_a_telephone():
@@ -131,9 +188,9 @@ def test_path_traced_photos_of_a_telephone():
     assert acquisition.report["lenses"][0]["focal_length_from_exif"] < 0.97 * acquisition.report["lenses"][0]["focal_length"]
 
 
-def test_a_telephones_curve_flash_and_room_are_found(tmp_path, sheet):
-    scene = make_photos.Scene(make_photos.page(sheet), 12.0, make_photos.Lens(), light_offset=(14.0, 4.0), tone=0.035, room=(0.25, 0.3, 0.35))
-    shots = make_photos.around(5, size=(1200, 800))
+def test_a_telephones_curve_flash_and_room_are_found(tmp_path, page):
+    scene = make_photos.Scene(page, 12.0, make_photos.Lens(), light_offset=(14.0, 4.0), tone=0.035, room=(0.25, 0.3, 0.35))
+    shots = make_photos.around(5, size=(900, 600))
     without = tmp_path / "dark.png"
     make_photos.png.write(without, make_photos.photograph(scene, replace(shots[1], exposure=1.0, flash=False), samples=2))
     for shot in shots:
@@ -143,7 +200,7 @@ def test_a_telephones_curve_flash_and_room_are_found(tmp_path, sheet):
     assert len(report["photos"]) == 5 and not report["warnings"], report["warnings"]
     lens = report["lenses"][0]
     assert np.allclose(lens["light_offset"], (14, 4), atol=2), lens
-    errors = make_photos.compare(capture, report, scene, shots)
+    errors = make_photos.compare(capture, report, [scene] * len(shots), shots)
     assert max(errors["light"]) < 0.03 and np.median(errors["albedo"]) < 0.12, (errors, lens)
     # Without all that: what is wrong is said, and more is wrong.
     report = svbrdf_gcn.acquire([tmp_path / f"{i}.png" for i in range(5)], size=256).report
@@ -164,6 +221,10 @@ def test_arguments_of_acquire_are_named(tmp_path):
         ({"photos": [], "light_offset": "left"}, svbrdf_gcn.FormatError, "light_offset: expected two numbers or 'auto', got 'left'"),
         ({"photos": [], "paper_white": 2}, svbrdf_gcn.ArgumentError, "paper_white: expected an albedo above 0 and at most 1, got 2"),
         ({"photos": [tmp_path / "none.png"]}, FileNotFoundError, "none.png"),
+        ({"photos": [], "corners": [[1, 2, 3]], "patch_width": 9}, svbrdf_gcn.ShapeError, r"corners: expected shape \(N, 4, 2\) or \(N, 8\), got \(1, 3\)"),
+        ({"photos": [], "corners": [[0, 0, 9, 0, 9, 9, 0, 9]]}, svbrdf_gcn.ArgumentError, "patch_width: expected the width"),
+        ({"photos": [], "patch_width": 96}, svbrdf_gcn.ArgumentError, "patch_width: is for photos whose corners are given: .* got 96"),
+        ({"photos": [], "corners": [[0, 0, 9, 0, 9, 9, 0, 9]], "patch_width": 9, "window": 90}, svbrdf_gcn.ArgumentError, "window: is for photos of a sheet: .* got 90"),
     ]:
         with pytest.raises(error, match=said):
             svbrdf_gcn.acquire(**arguments)
@@ -173,8 +234,8 @@ def test_arguments_of_acquire_are_named(tmp_path):
         svbrdf_gcn.acquire([ROOT / "samples" / "tiles" / "00.png"], cancel=token)
 
 
-def test_photos_that_cannot_be_used_are_named(tmp_path, sheet):
-    scene = make_photos.Scene(make_photos.page(sheet), 12.0, make_photos.Lens())
+def test_photos_that_cannot_be_used_are_named(tmp_path, page):
+    scene = make_photos.Scene(page, 12.0, make_photos.Lens())
     photo = make_photos.photograph(scene, make_photos.around(2, size=(900, 700))[0], samples=2)
     pictures = {
         "good": photo,

@@ -20,16 +20,31 @@ const PLACE: usize = 6;
 const STEPS_MAX: usize = 60;
 /// A step that gains less than this share ends the search.
 const GAIN_MIN: f64 = 1e-9;
-/// Widths of the priors: logarithm of the focal length about EXIF's or a usual one, radial terms about 0.
+/// Widths of the priors of the logarithm of the focal length, about EXIF's and about a usual one.
 const FOCAL_PRIOR_EXIF: f64 = 0.1;
 const FOCAL_PRIOR: f64 = 0.5;
-const RADIAL_PRIOR: [f64; 2] = [0.2, 0.2];
 /// Focal length of a usual lens, in longer sides of the picture.
 const USUAL_FOCAL_LENGTH: f64 = 0.8;
 /// Focal lengths that lenses have, in longer sides of the picture.
 const FOCAL_LENGTHS: std::ops::Range<f64> = 0.3..10.0;
-/// The least typical distance, in pixels: better is not measured.
-const SIGMA_MIN: f64 = 0.02;
+
+/// How well points are known, and how much they may tell of the lens.
+#[derive(Clone, Copy, Debug)]
+pub struct Precision {
+    /// The least typical distance, in pixels: better is not measured.
+    sigma_min: f64,
+    /// Widths of the priors of the radial terms, about 0.
+    radial_prior: [f64; 2],
+    /// A photo whose points are farther off than this, in shares of the longer side, does not agree with the others.
+    pub error_max: f64,
+}
+
+impl Precision {
+    /// Many corners in every photo, measured along edges.
+    pub const TAGS: Self = Self { sigma_min: 0.02, radial_prior: [0.2, 0.2], error_max: 1e-3 };
+    /// Four corners in every photo, given by hand.
+    pub const CORNERS: Self = Self { sigma_min: 0.5, radial_prior: [0.05, 0.01], error_max: 5e-3 };
+}
 
 /// A pinhole with radial distortion; pixels are square, its axis meets the middle of the picture, from which pixels are counted (x right, y down).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -156,12 +171,19 @@ pub struct Calibration {
     pub places: Vec<Place>,
     /// Of each photo, the root mean squared distance of its points from where they should be, in pixels.
     pub errors: Vec<f64>,
+    /// Standard deviation of the logarithm of the focal length.
+    pub focal_length_deviation: f64,
 }
 
 /// Finds the lens of photos whose longer side is `longer` pixels, and where it stood for each; `None` if a photo's points leave its place open.
 ///
 /// `focal_length` is what EXIF says, in pixels.
-pub fn calibrate(photos: &[Points], longer: usize, focal_length: Option<f64>) -> Option<Calibration> {
+pub fn calibrate(
+    photos: &[Points],
+    longer: usize,
+    focal_length: Option<f64>,
+    precision: Precision,
+) -> Option<Calibration> {
     let longer = longer as f64;
     let maps: Vec<Homography> = photos.iter().map(|points| Homography::between(points)).collect::<Option<_>>()?;
     let in_range = |focal_length: &f64| FOCAL_LENGTHS.contains(&(focal_length / longer));
@@ -181,7 +203,7 @@ pub fn calibrate(photos: &[Points], longer: usize, focal_length: Option<f64>) ->
                 })
                 .collect::<Option<Vec<_>>>()?;
             let lens = Lens { focal_length: start, radial: [0.0; 2] };
-            Some(Search { photos, expected, prior, lens, places }.run())
+            Some(Search { photos, expected, prior, precision, lens, places }.run())
         })
         .min_by(|a, b| a.1.total_cmp(&b.1))
         .map(|(calibration, _)| calibration)
@@ -208,6 +230,7 @@ struct Search<'a> {
     photos: &'a [Points],
     expected: f64,
     prior: f64,
+    precision: Precision,
     lens: Lens,
     places: Vec<Place>,
 }
@@ -223,6 +246,13 @@ struct PlaceBlock {
     own: [[f64; PLACE]; PLACE],
     with_lens: [[f64; PLACE]; LENS],
     gradient: [f64; PLACE],
+}
+
+/// The system of the lens after the places were eliminated, and what solves for those.
+struct Reduced {
+    core: [[f64; LENS]; LENS],
+    right: [f64; LENS],
+    factors: Vec<Cholesky<f64, PLACE>>,
 }
 
 impl Search<'_> {
@@ -258,8 +288,9 @@ impl Search<'_> {
             let squares: f64 = points.iter().map(|&pair| self.distance2(place, &self.lens, pair)).sum();
             (squares / points.len() as f64).sqrt()
         });
-        let calibration = Calibration { lens: self.lens, errors: errors.collect(), places: self.places.clone() };
-        (calibration, self.typical())
+        let errors = errors.collect();
+        let focal_length_deviation = self.focal_length_deviation(&self.system(sigma));
+        (Calibration { lens: self.lens, errors, places: self.places.clone(), focal_length_deviation }, self.typical())
     }
 
     fn distance2(&self, place: &Place, lens: &Lens, (on, at): ([f64; 2], [f64; 2])) -> f64 {
@@ -278,14 +309,14 @@ impl Search<'_> {
         // The median of the squared distance of a Gaussian in the plane is 2 ln 2.
         (*squares.select_nth_unstable_by(middle, f64::total_cmp).1 / (2.0 * std::f64::consts::LN_2))
             .sqrt()
-            .max(SIGMA_MIN)
+            .max(self.precision.sigma_min)
     }
 
     fn priors(&self, lens: &Lens) -> [(f64, f64); LENS] {
         [
             ((lens.focal_length / self.expected).ln(), self.prior),
-            (lens.radial[0], RADIAL_PRIOR[0]),
-            (lens.radial[1], RADIAL_PRIOR[1]),
+            (lens.radial[0], self.precision.radial_prior[0]),
+            (lens.radial[1], self.precision.radial_prior[1]),
         ]
     }
 
@@ -357,8 +388,31 @@ impl Search<'_> {
         (lens.distort([x, y]), by_lens, by_place)
     }
 
+    /// From the curvature of the sum along the focal length, where everything else follows.
+    fn focal_length_deviation(&self, system: &System) -> f64 {
+        let variance = || Some(Cholesky::<_, LENS>::of(&Self::reduced(system, 0.0)?.core)?.solve([1.0, 0.0, 0.0])[0]);
+        variance().map_or(self.prior, f64::sqrt)
+    }
+
     /// The lens and the places after one damped step.
     fn step(&self, system: &System, damping: f64) -> Option<(Lens, Vec<Place>)> {
+        let Reduced { core, right, factors } = Self::reduced(system, damping)?;
+        let lens_step = Cholesky::<_, LENS>::of(&core)?.solve(right.map(|x| -x));
+        let lens = Lens {
+            focal_length: self.lens.focal_length * lens_step[0].clamp(-0.5, 0.5).exp(),
+            radial: [self.lens.radial[0] + lens_step[1], self.lens.radial[1] + lens_step[2]],
+        };
+        let places = self.places.iter().zip(&system.places).zip(factors).map(|((place, block), factor)| {
+            let right = std::array::from_fn(|k| {
+                -block.gradient[k] - (0..LENS).map(|i| block.with_lens[i][k] * lens_step[i]).sum::<f64>()
+            });
+            place.moved(factor.solve(right))
+        });
+        Some((lens, places.collect()))
+    }
+
+    /// The damped system of the lens alone.
+    fn reduced(system: &System, damping: f64) -> Option<Reduced> {
         let damped = |i: usize, j: usize, value: f64| if i == j { value * (1.0 + damping) + 1e-12 } else { value };
         let mut core: [[f64; LENS]; LENS] =
             std::array::from_fn(|i| std::array::from_fn(|j| damped(i, j, system.lens[i][j])));
@@ -376,18 +430,7 @@ impl Search<'_> {
             }
             factors.push(factor);
         }
-        let lens_step = Cholesky::<_, LENS>::of(&core)?.solve(right.map(|x| -x));
-        let lens = Lens {
-            focal_length: self.lens.focal_length * lens_step[0].clamp(-0.5, 0.5).exp(),
-            radial: [self.lens.radial[0] + lens_step[1], self.lens.radial[1] + lens_step[2]],
-        };
-        let places = self.places.iter().zip(&system.places).zip(factors).map(|((place, block), factor)| {
-            let right = std::array::from_fn(|k| {
-                -block.gradient[k] - (0..LENS).map(|i| block.with_lens[i][k] * lens_step[i]).sum::<f64>()
-            });
-            place.moved(factor.solve(right))
-        });
-        Some((lens, places.collect()))
+        Some(Reduced { core, right, factors })
     }
 }
 
@@ -453,13 +496,14 @@ mod tests {
     #[test]
     fn lens_and_places_are_found_without_exif() {
         let (lens, places) = truth();
-        let exact = calibrate(&seen(&lens, &places, 0.0), LONGER, None).unwrap();
+        let exact = calibrate(&seen(&lens, &places, 0.0), LONGER, None, Precision::TAGS).unwrap();
         assert!((exact.lens.focal_length / lens.focal_length - 1.0).abs() < 1e-4, "{:?}", exact.lens);
         assert!(position_error(&exact, &places) < 1e-4 && exact.errors.iter().all(|error| *error < 1e-2), "{exact:?}");
-        let noisy = calibrate(&seen(&lens, &places, 0.3), LONGER, None).unwrap();
+        let noisy = calibrate(&seen(&lens, &places, 0.3), LONGER, None, Precision::TAGS).unwrap();
         assert!(position_error(&noisy, &places) < 3e-3, "{}", position_error(&noisy, &places));
         // Wrong EXIF data do not lead astray.
-        let misled = calibrate(&seen(&lens, &places, 0.1), LONGER, Some(1.05 * lens.focal_length)).unwrap();
+        let misled =
+            calibrate(&seen(&lens, &places, 0.1), LONGER, Some(1.05 * lens.focal_length), Precision::TAGS).unwrap();
         assert!(position_error(&misled, &places) < 2e-3, "{}", position_error(&misled, &places));
     }
 
@@ -472,7 +516,7 @@ mod tests {
                 pair.1[0] += 25.0;
             }
         }
-        let found = calibrate(&points, LONGER, None).unwrap();
+        let found = calibrate(&points, LONGER, None, Precision::TAGS).unwrap();
         assert!(position_error(&found, &places) < 3e-3, "{}", position_error(&found, &places));
     }
 
@@ -480,15 +524,42 @@ mod tests {
     fn one_photo_from_straight_above_takes_the_focal_length_of_exif() {
         let (lens, _) = truth();
         let places = [looking_down([0.0, 0.0, 250.0], 0.2)];
-        let found = calibrate(&seen(&lens, &places, 0.05), LONGER, Some(lens.focal_length)).unwrap();
+        let found = calibrate(&seen(&lens, &places, 0.05), LONGER, Some(lens.focal_length), Precision::TAGS).unwrap();
         assert!(position_error(&found, &places) < 0.03, "{}", position_error(&found, &places));
+    }
+
+    /// Four corners a photo, as near as a hand clicks, of a telephone's lens: what bends lines little.
+    #[test]
+    fn four_corners_tell_places_and_where_photos_lean_the_focal_length() {
+        let (_, places) = truth();
+        let lens = Lens { focal_length: 3100.0, radial: [0.02, -0.02] };
+        let corners = [[-48.0, 48.0], [48.0, 48.0], [48.0, -48.0], [-48.0, -48.0]];
+        let clicked = |places: &[Place]| -> Vec<Points> {
+            let point = |place: &Place, [x, y]: [f64; 2]| ([x, y], place.project(&lens, [x, y, 0.0]).map(f64::round));
+            places.iter().map(|place| corners.iter().map(|&on| point(place, on)).collect()).collect()
+        };
+        let found = calibrate(&clicked(&places), LONGER, None, Precision::CORNERS).unwrap();
+        assert!(position_error(&found, &places) < 0.01, "{} {found:?}", position_error(&found, &places));
+        assert!(found.focal_length_deviation < 0.02, "{found:?}");
+        // From straight above nothing tells the focal length but EXIF data.
+        let above = [looking_down([2.0, -3.0, 250.0], 0.2)];
+        let found = calibrate(&clicked(&above), LONGER, Some(lens.focal_length), Precision::CORNERS).unwrap();
+        assert!(position_error(&found, &above) < 0.01, "{}", position_error(&found, &above));
+        let guessed = calibrate(&clicked(&above), LONGER, None, Precision::CORNERS).unwrap();
+        assert!(guessed.focal_length_deviation > 0.1, "{guessed:?}");
     }
 
     #[test]
     fn derivatives_are_those_of_differences() {
         let (lens, places) = truth();
-        let search =
-            |lens: Lens, place: Place| Search { photos: &[], expected: 1.0, prior: 1.0, lens, places: vec![place] };
+        let search = |lens: Lens, place: Place| Search {
+            photos: &[],
+            expected: 1.0,
+            prior: 1.0,
+            precision: Precision::TAGS,
+            lens,
+            places: vec![place],
+        };
         let (on, step) = ([40.0, -70.0], 1e-6);
         let (_, by_lens, by_place) = search(lens, places[1]).derivatives(&places[1], on);
         let project = |lens: Lens, place: Place| place.project(&lens, [on[0], on[1], 0.0]);

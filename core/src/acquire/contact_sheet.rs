@@ -1,9 +1,9 @@
 //! The picture that shows a person what was found in photos: where tags and sample are in each, the rectified patches, where cameras stood, and what is missing.
 
+use super::Reference;
 use super::geometry::norm;
-use super::missing::{Missing, highlight};
-use super::report::{LeftOut, PhotoReport, Report};
-use super::sheet::Sheet;
+use super::missing::highlight;
+use super::report::{LeftOut, Missing, PhotoReport, Report};
 use crate::capture::Photo;
 use crate::error::Result;
 use crate::image::Image;
@@ -82,7 +82,7 @@ pub fn contact_sheet(
     photos: &[Photo],
     shown: &[Shown],
     left_out: &[Option<Thumbnail>],
-    sheet: &Sheet,
+    reference: &Reference,
 ) -> Result<Image> {
     let count = shown.iter().filter(|shown| shown.thumbnail.is_some()).count();
     let out = left_out.iter().flatten().count();
@@ -123,11 +123,7 @@ pub fn contact_sheet(
     y += out.div_ceil(COLUMNS) * row;
 
     let shots: Vec<Shot> = photos.iter().map(|photo| photo.shot).collect();
-    let titles = [
-        "cameras from above, the flash yellow",
-        "cameras from below the sheet's lower edge",
-        "highlights of a flat sample",
-    ];
+    let titles = ["cameras from above, the flash yellow", "cameras from the lower edge", "highlights of a flat sample"];
     for (i, title) in titles.iter().enumerate() {
         picture.text([MARGIN + i * (CELL + MARGIN), y], CELL, title, INK);
         picture.area([MARGIN + i * (CELL + MARGIN), y + TEXT_LINE], [DRAWING, DRAWING], FIELD);
@@ -135,9 +131,9 @@ pub fn contact_sheet(
     y += TEXT_LINE;
     let top = y as f64;
     let left = |i: usize| (MARGIN + i * (CELL + MARGIN)) as f64;
-    from_above(&mut picture, [left(0), top], &shots, &report.missing, sheet);
-    from_aside(&mut picture, [left(1), top], &shots, &report.missing, sheet);
-    highlights(&mut picture, [left(2), top], photos, &shots, sheet)?;
+    from_above(&mut picture, [left(0), top], &shots, &report.missing, reference);
+    from_aside(&mut picture, [left(1), top], &shots, &report.missing, reference);
+    highlights(&mut picture, [left(2), top], photos, &shots, reference)?;
     y += DRAWING;
     picture.text([MARGIN, y + 6], 2 * CELL, "red crosses: from where photos are missing", FAINT);
     y += TEXT_LINE + MARGIN;
@@ -175,12 +171,16 @@ fn headline(report: &Report) -> Vec<String> {
     lines
 }
 
-/// What is missing, then the warnings, in lines.
+/// What is assumed, what is missing, then the warnings, in lines.
 fn advice(report: &Report) -> Vec<(Color, String)> {
     let width = WIDTH - 2 * MARGIN;
     let missing = report.missing.iter().map(|missing| (SAMPLE, &missing.text));
     let warnings = report.warnings.iter().map(|warning| (WRONG, warning));
-    missing
+    let assumptions: Vec<String> = report.assumptions.iter().map(|text| format!("assumed: {text}")).collect();
+    assumptions
+        .iter()
+        .map(|text| (INK, text))
+        .chain(missing)
         .chain(warnings)
         .flat_map(|(color, text)| wrapped(text, width).into_iter().map(move |line| (color, line)))
         .collect()
@@ -205,13 +205,11 @@ fn photo_cell(
     }
     picture.outline(&shown.marks.patch.iter().map(place).collect::<Vec<_>>(), 1.8, SAMPLE);
     picture.image(&patch(photo, PATCH, true)?, [x + PHOTO + MARGIN / 2, top]);
-    let words = format!(
-        "{} tags, off {:.2} px, blur {:.1} px, full {:.1} %",
-        about.tags,
-        about.tag_error,
-        about.blur,
-        100.0 * about.saturated
-    );
+    let found = match about.blur {
+        Some(blur) => format!("{} tags, off {:.2} px, blur {blur:.1} px", about.tags, about.tag_error),
+        None => format!("corners off {:.2} px", about.tag_error),
+    };
+    let words = format!("{found}, full {:.1} %", 100.0 * about.saturated);
     picture.text([x, top + PATCH + 6], CELL, &words, FAINT);
     Ok(())
 }
@@ -274,37 +272,49 @@ fn patch(photo: &Photo, side: usize, marked: bool) -> Result<Image> {
 }
 
 /// Millimetres that a drawing reaches from its middle: all cameras, and the sheet.
-fn reach(shots: &[Shot], missing: &[Missing], sheet: &Sheet, of: impl Fn([f64; 3]) -> f64) -> f64 {
+fn reach(shots: &[Shot], missing: &[Missing], reference: &Reference, of: impl Fn([f64; 3]) -> f64) -> f64 {
     let cameras = shots.iter().map(|shot| shot.camera).chain(missing.iter().map(|missing| missing.camera));
-    1.12 * cameras.map(of).fold(1.1 * sheet.half_width(), f64::max)
+    1.12 * cameras.map(of).fold(1.1 * reference.half_width(), f64::max)
 }
 
 /// Cameras as seen from above: x to the right, y up.
-fn from_above(picture: &mut Picture, [left, top]: [f64; 2], shots: &[Shot], missing: &[Missing], sheet: &Sheet) {
-    let reach = reach(shots, missing, sheet, |[x, y, _]| x.abs().max(y.abs()));
+fn from_above(
+    picture: &mut Picture,
+    [left, top]: [f64; 2],
+    shots: &[Shot],
+    missing: &[Missing],
+    reference: &Reference,
+) {
+    let reach = reach(shots, missing, reference, |[x, y, _]| x.abs().max(y.abs()));
     let (middle, scale) = (DRAWING as f64 / 2.0, DRAWING as f64 / 2.0 / reach);
     let place = |[x, y, _]: [f64; 3]| [left + middle + scale * x, top + middle - scale * y];
     let square =
         |half: f64| [[-half, half], [half, half], [half, -half], [-half, -half]].map(|[x, y]| place([x, y, 0.0]));
-    picture.outline(&square(sheet.half_width()), 1.5, FAINT);
-    picture.outline(&square(sheet.patch / 2.0), 2.0, SAMPLE);
-    for tag in &sheet.tags {
+    picture.outline(&square(reference.half_width()), 1.5, FAINT);
+    picture.outline(&square(reference.patch() / 2.0), 2.0, SAMPLE);
+    for tag in reference.tags() {
         picture.outline(&tag.corners.map(|[x, y]| place([x, y, 0.0])), 1.0, FAINT);
     }
     cameras(picture, shots, missing, place);
 }
 
 /// Cameras as seen along the sheet from its lower edge: x to the right, z up.
-fn from_aside(picture: &mut Picture, [left, top]: [f64; 2], shots: &[Shot], missing: &[Missing], sheet: &Sheet) {
-    let across = reach(shots, missing, sheet, |[x, _, _]| x.abs());
-    let up = reach(shots, missing, sheet, |[_, _, z]| z);
+fn from_aside(
+    picture: &mut Picture,
+    [left, top]: [f64; 2],
+    shots: &[Shot],
+    missing: &[Missing],
+    reference: &Reference,
+) {
+    let across = reach(shots, missing, reference, |[x, _, _]| x.abs());
+    let up = reach(shots, missing, reference, |[_, _, z]| z);
     let side = DRAWING as f64;
     let scale = (side / 2.0 / across).min(0.92 * side / up);
     let ground = top + 0.95 * side;
     let place = |[x, _, z]: [f64; 3]| [left + side / 2.0 + scale * x, ground - scale * z];
-    let half = sheet.half_width();
+    let half = reference.half_width();
     picture.line(place([-half, 0.0, 0.0]), place([half, 0.0, 0.0]), 3.0, FAINT);
-    let half = sheet.patch / 2.0;
+    let half = reference.patch() / 2.0;
     picture.line(place([-half, 0.0, 0.0]), place([half, 0.0, 0.0]), 5.0, SAMPLE);
     cameras(picture, shots, missing, place);
 }
@@ -337,12 +347,12 @@ fn highlights(
     [left, top]: [f64; 2],
     photos: &[Photo],
     shots: &[Shot],
-    sheet: &Sheet,
+    reference: &Reference,
 ) -> Result<()> {
     let side = DRAWING as f64;
     // The patch takes the middle; highlights may stand beside it.
     let inner = 0.5 * side;
-    let scale = inner / sheet.patch;
+    let scale = inner / reference.patch();
     let corner = [left + (side - inner) / 2.0, top + (side - inner) / 2.0];
     let above = shots.iter().enumerate().max_by(|a, b| leaning(a.1).total_cmp(&leaning(b.1)));
     if let Some((index, _)) = above {
@@ -351,7 +361,7 @@ fn highlights(
         picture.image(&image, corner.map(|x| x as usize));
     }
     let place = |[x, y]: [f64; 2]| [left + side / 2.0 + scale * x, top + side / 2.0 - scale * y];
-    let half = sheet.patch / 2.0;
+    let half = reference.patch() / 2.0;
     picture.outline(&[[-half, half], [half, half], [half, -half], [-half, -half]].map(place), 2.0, SAMPLE);
     picture.line(place([-half, 0.0]), place([half, 0.0]), 1.0, SAMPLE);
     picture.line(place([0.0, -half]), place([0.0, half]), 1.0, SAMPLE);

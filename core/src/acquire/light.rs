@@ -13,6 +13,7 @@ use std::f64::consts::PI;
 
 use super::geometry::norm;
 use crate::cholesky::Cholesky;
+use crate::color::double::{srgb_decode, srgb_encode};
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 15;
@@ -52,13 +53,13 @@ impl Tone {
 
     /// The radiance of a code.
     pub fn radiance(&self, code: f64) -> f64 {
-        decode(self.code(code))
+        srgb_decode(self.code(code))
     }
 
     /// The radiance of a code, and how it changes with the curve.
     fn derivatives(&self, code: f64) -> (f64, [f64; TONE]) {
         let u = self.code(code).max(1e-4);
-        let radiance = decode(u);
+        let radiance = srgb_decode(u);
         let slope = radiance * if u <= 0.04045 { 1.0 / u } else { 2.4 / (u + 0.055) };
         (radiance, std::array::from_fn(|k| slope * ((k + 1) as f64 * PI * code).sin()))
     }
@@ -87,18 +88,12 @@ impl Tone {
 
     /// What a value that was decoded as sRGB stands for.
     pub fn corrected(&self, value: f64) -> f64 {
-        if *self == Self::default() || !(0.0..=1.0).contains(&value) { value } else { self.radiance(encode(value)) }
+        if *self == Self::default() || !(0.0..=1.0).contains(&value) {
+            value
+        } else {
+            self.radiance(srgb_encode(value))
+        }
     }
-}
-
-/// sRGB's curve (IEC 61966-2-1).
-fn decode(code: f64) -> f64 {
-    if code <= 0.04045 { code / 12.92 } else { ((code + 0.055) / 1.055).powf(2.4) }
-}
-
-/// The inverse of [`decode`].
-pub fn encode(value: f64) -> f64 {
-    if value <= 0.003_130_8 { 12.92 * value } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// A place of paper or of a grey patch in a photo.
@@ -340,7 +335,7 @@ mod tests {
 
     /// A telephone: its curve from radiance to codes, by the inverse of a curve with more contrast in the middle.
     fn telephone(radiance: f64) -> f64 {
-        let code = encode(radiance.clamp(0.0, 1.0));
+        let code = srgb_encode(radiance.clamp(0.0, 1.0));
         code - 0.03 * (2.0 * PI * code).sin()
     }
 
@@ -439,7 +434,7 @@ mod tests {
     #[test]
     fn srgb_stays_srgb() {
         let mut truth = truth();
-        truth.curve = |radiance| encode(radiance.clamp(0.0, 1.0));
+        truth.curve = |radiance| srgb_encode(radiance.clamp(0.0, 1.0));
         let found = estimate(&photos(&truth), Known { offset: Some(truth.offset), ..KNOWN });
         assert!(curve_error(&found, &truth) < 0.01 && found.offset == truth.offset, "{found:?}");
         let found = estimate(&photos(&truth), Known { is_srgb: true, ..KNOWN });
@@ -449,12 +444,12 @@ mod tests {
     #[test]
     fn other_light_shows_in_the_photo_that_has_it() {
         let mut truth = truth();
-        truth.curve = |radiance| encode(radiance.clamp(0.0, 1.0));
+        truth.curve = |radiance| srgb_encode(radiance.clamp(0.0, 1.0));
         let mut photos = photos(&truth);
-        let radiances: Vec<f64> = photos[1].iter().map(|paper| decode(paper.code[0])).collect();
+        let radiances: Vec<f64> = photos[1].iter().map(|paper| srgb_decode(paper.code[0])).collect();
         let mean = radiances.iter().sum::<f64>() / radiances.len() as f64;
         for paper in &mut photos[1] {
-            paper.code = paper.code.map(|code| encode(decode(code) + 0.3 * mean));
+            paper.code = paper.code.map(|code| srgb_encode(srgb_decode(code) + 0.3 * mean));
         }
         let found = estimate(&photos, Known { offset: Some(truth.offset), ..KNOWN });
         let others = (0..photos.len()).filter(|&i| i != 1).map(|i| found.ambient[i]).fold(0.0, f64::max);

@@ -3,25 +3,14 @@
 //! A flat, glossy surface has its highlight where the direction halfway between camera and light is the normal: on the straight line between the camera's foot and the light's,
 //! nearer to the lower of both.
 
-use serde::Serialize;
-
 use super::geometry::norm;
+use super::report::Missing;
 use crate::shot::Shot;
 
 /// From this angle to the normal on, in degrees, a photo shows the sample from a side.
 const LEAN_DEG: f64 = 12.0;
 /// How far a suggested photo leans.
 const SUGGESTED_LEAN_DEG: f64 = 25.0;
-
-/// A photo that is not there.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct Missing {
-    /// What is not seen, and what to do.
-    pub text: String,
-    /// Where a photo of it could be taken from, in millimetres.
-    pub camera: [f64; 3],
-}
 
 /// Where the highlight of a flat sample stands, in the sample's plane.
 pub fn highlight(shot: &Shot) -> [f64; 2] {

@@ -6,6 +6,7 @@ use super::rectify::Part;
 use super::sheet::{Sheet, Tag};
 use super::tags::Found;
 use crate::cancel::CancelToken;
+use crate::color::double::srgb_encode;
 use crate::error::Result;
 use crate::io::Stored;
 use crate::io::profile::Decoding;
@@ -77,12 +78,12 @@ pub fn papers(measured: &[Measured], dark: Option<(&[Measured], f64)>, place: &P
     let normal = [0, 1, 2].map(|i| place.rotation[i][2]);
     let without = |at: [f64; 2]| {
         let (dark, share) = dark?;
-        dark.iter().find(|dark| dark.at == at).map(|dark| (dark.value.map(light::encode), share))
+        dark.iter().find(|dark| dark.at == at).map(|dark| (dark.value.map(srgb_encode), share))
     };
     let paper = |measured: &Measured| {
         let (dark, dark_share) = without(measured.at).unwrap_or_default();
         Paper {
-            code: measured.value.map(light::encode),
+            code: measured.value.map(srgb_encode),
             dark,
             dark_share,
             grey: measured.grey,

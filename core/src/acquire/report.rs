@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
+#[cfg(feature = "acquire")]
 use super::camera::Lens;
-use super::missing::Missing;
 
 /// How photos became a capture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -17,6 +17,9 @@ pub struct Report {
     pub lenses: Vec<LensReport>,
     /// Side of the rectified photos in pixels.
     pub size: usize,
+    /// What is assumed because no sheet tells it; empty for photos of one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub assumptions: Vec<String>,
     /// What they do not show of the sample.
     pub missing: Vec<Missing>,
     /// What a user should know.
@@ -33,16 +36,24 @@ pub struct PhotoReport {
     pub file: String,
     /// Its lens, counted from 0.
     pub lens: usize,
-    /// How many tags were found.
+    /// EXIF's orientation by which it was turned upright; absent where it is as the camera took it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation: Option<u8>,
+    /// How many tags were found; 0 where the patch's corners were given.
     pub tags: usize,
-    /// Root mean squared distance of their corners from where they should be, in pixels of the photo.
+    /// Root mean squared distance of their corners (or of the patch's) from where they should be, in pixels of the photo.
     pub tag_error: f64,
-    /// Standard deviation of its blur, in pixels of the rectified photo.
-    pub blur: f64,
+    /// The same as a share of the patch's width.
+    pub position_error: f64,
+    /// Standard deviation of its blur, in pixels of the rectified photo; only tags tell it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub blur: Option<f64>,
     /// Third quartile of its paper's deviations from what position and light explain, as a share.
-    pub paper_error: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub paper_error: Option<f64>,
     /// Share of the light on its paper that does not come from the flash, as far as it can be told apart.
-    pub ambient: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ambient: Option<f64>,
     /// Share of the rectified pixels that are saturated.
     pub saturated: f64,
 }
@@ -60,6 +71,16 @@ pub struct LeftOut {
     pub(super) index: usize,
 }
 
+/// A photo that is not there.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Missing {
+    /// What is not seen, and what to do.
+    pub text: String,
+    /// Where a photo of it could be taken from, in millimetres.
+    pub camera: [f64; 3],
+}
+
 /// A lens as its photos have it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
@@ -68,6 +89,8 @@ pub struct LensReport {
     pub photos: usize,
     /// Focal length in pixels.
     pub focal_length: f64,
+    /// Standard deviation of its logarithm, from how well the photos' points tell it.
+    pub focal_length_deviation: f64,
     /// What EXIF data say of it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub focal_length_from_exif: Option<f64>,
@@ -83,6 +106,7 @@ pub struct LensReport {
     pub light_offset: [f64; 2],
 }
 
+#[cfg(feature = "acquire")]
 impl LensReport {
     pub(super) fn lens(&self) -> Lens {
         Lens { focal_length: self.focal_length, radial: self.radial }

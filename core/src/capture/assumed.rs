@@ -14,7 +14,7 @@ const SHORTER_SIDE: f64 = 2.0;
 /// Field of view across the shorter side where the file does not tell: that of telephones' main cameras.
 const FIELD_OF_VIEW_DEG: f64 = 50.0;
 /// The diffuse albedo that all but a hundredth of the pixels stay below.
-const BRIGHTEST_ALBEDO: f64 = 0.9;
+pub(crate) const BRIGHTEST_ALBEDO: f64 = 0.9;
 const BRIGHTEST_SHARE: f64 = 0.99;
 /// The most by which a fit corrects the first guess of the light.
 const MAX_CORRECTION: f64 = 1000.0;
@@ -125,7 +125,7 @@ impl Assumed {
 }
 
 /// The value that the brightest channel, times a factor of the pixel, exceeds in a hundredth of the pixels.
-fn brightest(image: &Image, factor: impl Fn(usize) -> f64) -> f64 {
+pub(crate) fn brightest(image: &Image, factor: impl Fn(usize) -> f64) -> f64 {
     let mut values: Vec<f64> = image
         .data()
         .chunks_exact(image.channels())

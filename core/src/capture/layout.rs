@@ -7,7 +7,7 @@ use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_json::Value;
 
-use super::{Shot, check_patch_size, check_white_level};
+use super::{Acquired, Shot, check_patch_size, check_white_level};
 use crate::color::{ColorSpace, Transfer};
 use crate::error::{Error, Result};
 use crate::io::describe::{CAMERA_POSITIONS, CAPTURE_JSON, describe, is_photo};
@@ -35,6 +35,8 @@ pub(super) struct Layout {
     pub color_space: Option<ColorSpace>,
     pub unit: Option<Unit>,
     pub white_level: Option<f32>,
+    /// What `acquire` says of a capture that it made.
+    pub acquired: Option<Acquired>,
 }
 
 /// One photo's file and shot.
@@ -102,7 +104,7 @@ impl Layout {
     /// A capture of the literature: gamma 2.2, where the files are of integers.
     fn gamma22(entries: Vec<Entry>, patch_size: f64) -> Self {
         let (transfer, implied, color_space) = (Transfer::Gamma22, true, None);
-        Self { entries, patch_size, transfer, implied, color_space, unit: None, white_level: None }
+        Self { entries, patch_size, transfer, implied, color_space, unit: None, white_level: None, acquired: None }
     }
 
     /// The folder of MaterialGAN and the paper: numbered photos and four text files.
@@ -171,9 +173,7 @@ fn read_capture_json(path: &Path, text: &str, version: u64) -> Result<Layout> {
     for read_before in ["format", "version", "notes"] {
         capture.take::<IgnoredAny>(read_before, &mut problems);
     }
-    if version >= 2 {
-        capture.take::<IgnoredAny>("acquisition", &mut problems);
-    }
+    let acquired = if version >= 2 { capture.take("acquisition", &mut problems) } else { None };
     let patch_size = capture.need("patch_size", &mut problems);
     let transfer = capture.need("transfer", &mut problems);
     let color_space = capture.take("color_space", &mut problems);
@@ -212,7 +212,7 @@ fn read_capture_json(path: &Path, text: &str, version: u64) -> Result<Layout> {
     }
     match (patch_size, transfer, problems.into_reason()) {
         (Some(patch_size), Some(transfer), None) => {
-            Ok(Layout { entries, patch_size, transfer, implied: false, color_space, unit, white_level })
+            Ok(Layout { entries, patch_size, transfer, implied: false, color_space, unit, white_level, acquired })
         }
         (_, _, reason) => Err(Error::invalid(name_of(path), reason.unwrap_or_default())),
     }

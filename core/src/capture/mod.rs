@@ -4,6 +4,7 @@
 //! Pixel (row i, column j) of an H x W image lies at `x = ((j + 0.5) / W - 0.5) * patch_size`,
 //! `y = -((i + 0.5) / H - 0.5) * patch_size * H / W`. Positions and `patch_size` (the width) share one length unit.
 
+mod acquired;
 mod assumed;
 mod evaluation;
 mod layout;
@@ -25,7 +26,9 @@ use crate::shot::Shot;
 use crate::unit::Unit;
 use crate::{memory, pool};
 
+pub use acquired::{Acquired, AcquiredPhoto};
 pub use assumed::Assumed;
+pub(crate) use assumed::{BRIGHTEST_ALBEDO, brightest};
 pub use evaluation::render_photo;
 use layout::{Entry, Layout};
 
@@ -228,6 +231,7 @@ pub struct Capture {
     transfer: Transfer,
     unit: Option<Unit>,
     assumed: Option<Assumed>,
+    acquired: Option<Acquired>,
     warnings: Vec<String>,
     /// Estimated bytes at the peak of the reading.
     reading: u64,
@@ -239,6 +243,7 @@ impl PartialEq for Capture {
         let read = |c: &Self| (c.patch_size, c.transfer, c.assumed);
         read(self) == read(other)
             && self.unit == other.unit
+            && self.acquired == other.acquired
             && self.photos == other.photos
             && self.warnings == other.warnings
     }
@@ -350,11 +355,13 @@ impl Capture {
         };
         let entries = files.iter().map(entry).collect();
         let (color_space, implied) = (None, false);
-        Self::read(Layout { entries, patch_size, transfer, implied, color_space, unit: None, white_level }, options)
+        let (unit, acquired) = (None, None);
+        let layout = Layout { entries, patch_size, transfer, implied, color_space, unit, white_level, acquired };
+        Self::read(layout, options)
     }
 
     fn read(layout: Layout, options: &CaptureOptions) -> Result<Self> {
-        let Layout { entries, patch_size, transfer, implied, color_space, unit, white_level } = layout;
+        let Layout { entries, patch_size, transfer, implied, color_space, unit, white_level, acquired } = layout;
         let encoding = Encoding::new(transfer, implied, color_space, white_level, options)?;
         check_patch_size(patch_size)?;
         for entry in &entries {
@@ -378,10 +385,12 @@ impl Capture {
                 None => None,
             };
             let photo = develop(&entry.name, entry.shot, pixels, colors, mask.as_deref(), encoding, options)?;
-            Ok(Loaded { notes: [photo.notes, stored.notes].concat(), ..photo })
+            // Positions are stated for the picture as it is read.
+            let turned = stored.camera.orientation.map(|turned| format!("orientation {turned} of the file applied"));
+            Ok(Loaded { notes: photo.notes.into_iter().chain(turned).chain(stored.notes).collect(), ..photo })
         };
         let (loaded, reading) = read_all(&selected, demand, load, options)?;
-        Self::assemble(loaded, patch_size, unit, options.size, reading)
+        Ok(Self { acquired, ..Self::assemble(loaded, patch_size, unit, options.size, reading)? })
     }
 
     /// A capture from photos in memory, with the checks of [`Capture::open_with`].
@@ -509,7 +518,7 @@ impl Capture {
             warnings.push(printable(format_args!("{}: {note}", names.join(", "))));
         }
         let photos = loaded.into_iter().map(|loaded| loaded.photo).collect();
-        Ok(Self { photos, patch_size, transfer, unit, assumed, warnings, reading })
+        Ok(Self { photos, patch_size, transfer, unit, assumed, acquired: None, warnings, reading })
     }
 
     /// Adds the photos of `other`, for hosts that hand them over one at a time.
@@ -601,6 +610,16 @@ impl Capture {
         Self { unit: Some(unit), ..self }
     }
 
+    /// The capture with what `acquire` says of it.
+    pub(crate) fn with_acquired(self, acquired: Acquired) -> Self {
+        Self { acquired: Some(acquired), ..self }
+    }
+
+    /// What `acquire` says of a capture that it made.
+    pub fn acquired(&self) -> Option<&Acquired> {
+        self.acquired.as_ref()
+    }
+
     /// What was assumed, of one photo that came without a capture.
     pub fn assumed(&self) -> Option<&Assumed> {
         self.assumed.as_ref()
@@ -611,8 +630,8 @@ impl Capture {
         let shot = assumed.shot();
         shot.check(&self.photos[0].name)?;
         let photos = self.photos.iter().map(|photo| Photo { shot, ..photo.clone() }).collect();
-        let (unit, warnings) = (self.unit.clone(), self.warnings.clone());
-        Ok(Self { photos, unit, warnings, assumed: Some(assumed), ..*self })
+        let (unit, acquired, warnings) = (self.unit.clone(), self.acquired.clone(), self.warnings.clone());
+        Ok(Self { photos, unit, acquired, warnings, assumed: Some(assumed), ..*self })
     }
 
     /// What a user should know about how the capture was read.
@@ -626,7 +645,8 @@ impl Capture {
     /// [`Error::InvalidArgument`] if `views` is empty, names a photo twice or one that does not exist.
     pub fn select(&self, views: &[usize]) -> Result<Self> {
         let photos = check_views(views, self.len())?.iter().map(|&view| self.photos[view].clone()).collect();
-        Ok(Self { photos, unit: self.unit.clone(), warnings: self.warnings.clone(), ..*self })
+        let (unit, acquired, warnings) = (self.unit.clone(), self.acquired.clone(), self.warnings.clone());
+        Ok(Self { photos, unit, acquired, warnings, ..*self })
     }
 }
 

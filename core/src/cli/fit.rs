@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use super::acquire::{SheetOptions, make_capture};
+use super::acquire::{SheetOptions, make_capture, remark};
 use super::bar::Bar;
 use super::outputs::keep;
 use super::{CaptureArgs, complain, degrees, say, say_json};
@@ -174,7 +174,11 @@ impl FitArgs {
 
 pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
     check_folder(&args.out)?;
-    let raw = args.capture.photos();
+    let raw = args.capture.photos(args.sheet.has_corners());
+    if raw.is_none() && args.sheet.has_corners() {
+        let got = format!("are for photos: expected image files beside them, got {}", args.capture.path()?.display());
+        return Err(Error::invalid("corners", got));
+    }
     let photos = match &raw {
         Some(photos) => photos.clone(),
         None => photo_files(args.capture.path()?)?,
@@ -188,15 +192,13 @@ pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
         Some(photos) => {
             if args.capture.transfer.is_some() || args.capture.ignore_profiles {
                 let reason =
-                    "photos of a sheet are read as their files say: expected neither --transfer nor --ignore-profiles";
+                    "raw photos are read as their files say: expected neither --transfer nor --ignore-profiles";
                 return Err(Error::invalid("transfer", reason));
             }
             let folder = args.out.join(CAPTURE);
-            let options = args.sheet.options(args.size, args.capture.budget.max_memory, cancel)?;
+            let options = args.sheet.options(&photos, args.size, args.capture.budget.max_memory, cancel)?;
             let (report, _) = make_capture(&photos, &folder, &options, &mut bar)?;
-            for warning in &report.warnings {
-                complain(&format!("warning: {}", printable(warning)));
-            }
+            remark(&report);
             // What was acquired is linear Rec. 709.
             let mut reading = args.capture.options(args.size).cancel(cancel.clone());
             reading.color_space = None;

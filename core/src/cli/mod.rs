@@ -109,7 +109,7 @@ impl CaptureArgs {
     fn path(&self) -> Result<&Path> {
         if let Some(second) = self.more.first() {
             let reason = format!(
-                "expected one folder or JSON file, or one photo, got {}: {} ({}), {} ({}){}; several photos need a capture, which says where camera and light stood for each, see docs/captures.md",
+                "expected one folder or JSON file, or one photo, got {}: {} ({}), {} ({}){}; several photos need a capture, which says where camera and light stood for each, see docs/captures.md; photos of a printed sheet, or with corners, become one, see docs/capturing.md",
                 self.more.len() + 1,
                 self.capture.display(),
                 describe(&self.capture),
@@ -122,10 +122,10 @@ impl CaptureArgs {
         Ok(&self.capture)
     }
 
-    /// The photos, if several were given.
-    fn photos(&self) -> Option<Vec<PathBuf>> {
+    /// The photos, if several were given, or one or more whose corners are known.
+    fn photos(&self, has_corners: bool) -> Option<Vec<PathBuf>> {
         let all: Vec<PathBuf> = std::iter::once(&self.capture).chain(&self.more).cloned().collect();
-        (all.len() > 1 && all.iter().all(|path| is_image(path))).then_some(all)
+        ((all.len() > 1 || has_corners) && all.iter().all(|path| is_image(path))).then_some(all)
     }
 
     /// The capture, beside `in_use` bytes of the budget.

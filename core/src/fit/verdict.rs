@@ -4,7 +4,7 @@
 
 use serde::Serialize;
 
-use crate::capture::{Capture, Photo};
+use crate::capture::{AcquiredPhoto, Capture, Photo};
 use crate::fit::direct::light;
 use crate::image::Image;
 use crate::render::encode_radiance;
@@ -25,6 +25,10 @@ const SHIFT_SIDE_MIN: usize = 16;
 const SATURATED: f64 = 0.05;
 /// Share of pixels that are black in every photo from which maps may be those of a mirror.
 const BLACK_SHARE: f64 = 0.5;
+/// How far the known points of an acquired photo are from where they should be, as a share of the patch's width, from which on its position is in doubt: a pixel of maps of 512.
+const ACQUIRED_POSITION: f64 = 1.0 / 512.0;
+/// Deviation of an acquired photo's paper from what one light explains from which on its light is in doubt: half of [`GOOD`] on white, in codes of gamma 2.2.
+const ACQUIRED_LIGHT: f64 = 2.2 * GOOD / 2.0;
 /// The deviation of the photos' codes at which the finish believes them least.
 const UNEXPLAINED: f64 = 0.2;
 /// Angle in radians from the normal at which another photo is proposed, and how many directions are looked at.
@@ -65,7 +69,7 @@ impl Grade {
 #[non_exhaustive]
 pub struct Reason {
     /// A word that stays the same: `photos_contradict`, `light_wrong`, `assumed`, `light_uneven`, `positions`, `one_photo`, `little_parallax`,
-    /// `highlight_unseen`, `saturated`, `unexplained`, `model_lacks`.
+    /// `highlight_unseen`, `saturated`, `unexplained`, `model_lacks`, `acquired_positions`, `acquired_light`.
     pub code: &'static str,
     /// What was found.
     pub text: String,
@@ -171,6 +175,38 @@ pub(super) fn verdict(evidence: &Evidence<'_>) -> Verdict {
             assumed.summary(),
             "take several photos and state where camera and light stood in a capture.json (docs/captures.md)",
         );
+    }
+    if let Some(acquired) = evidence.capture.acquired() {
+        if !acquired.assumptions.is_empty() {
+            reason(
+                "assumed",
+                acquired.assumptions.join("; "),
+                "lay a printed sheet around the sample (docs/capturing.md)",
+            );
+        }
+        let used = || acquired.photos.iter().filter(|photo| kept.iter().any(|kept| kept.name == photo.file));
+        let worst = |error: fn(&AcquiredPhoto) -> Option<f64>| {
+            let errors = used().filter_map(|photo| Some((photo, error(photo)?)));
+            errors.max_by(|a, b| a.1.total_cmp(&b.1))
+        };
+        if let Some((photo, error)) = worst(|photo| photo.position_error).filter(|worst| worst.1 > ACQUIRED_POSITION) {
+            reason(
+                "acquired_positions",
+                format!(
+                    "{}: what tells its position is off by {:.2} % of the patch's width",
+                    photo.file,
+                    100.0 * error
+                ),
+                "lay the sheet flat, keep its tags in focus, and do not zoom between photos",
+            );
+        }
+        if let Some((photo, error)) = worst(|photo| photo.paper_error).filter(|worst| worst.1 > ACQUIRED_LIGHT) {
+            reason(
+                "acquired_light",
+                format!("{}: its paper is off by {:.0} % from what one light explains", photo.file, 100.0 * error),
+                "keep other light and shadows out, switch HDR off, and print on matt paper",
+            );
+        }
     }
     let shift = |photo: usize| evidence.shifts[photo];
     let farthest = evidence.kept.iter().copied().max_by(|&a, &b| shift(a).total_cmp(&shift(b)));
@@ -344,7 +380,7 @@ fn shift_between(seen: &[f64], rendered: &[f64], width: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::{Evidence, Expected, Grade, SHIFT, Verdict, shift, verdict};
-    use crate::capture::{Capture, Photo};
+    use crate::capture::{Acquired, AcquiredPhoto, Capture, Photo};
     use crate::color::Transfer;
     use crate::image::Image;
     use crate::shot::Shot;
@@ -463,6 +499,30 @@ mod tests {
         let shifted = judged(&capture(3), |evidence| evidence.shifts = &[0.1, 2.0, 0.3]);
         assert_eq!(codes(&shifted), ["positions"]);
         assert!(shifted.reasons[0].text.starts_with("[0.0, 0.3, 2.0]: lies 2.0 pixels"), "{shifted:?}");
+    }
+
+    #[test]
+    fn what_acquire_found_counts_for_photos_that_were_fitted() {
+        let about = |i: usize, position: f64, paper: Option<f64>| AcquiredPhoto {
+            file: capture(4).photos()[i].name.clone(),
+            position_error: Some(position),
+            paper_error: paper,
+        };
+        let of = |photos: Vec<AcquiredPhoto>, assumptions: &[&str], kept: &'static [usize]| {
+            let assumptions = assumptions.iter().map(|&text| text.to_owned()).collect();
+            let capture = capture(4).with_acquired(Acquired { photos, assumptions });
+            judged(&capture, |evidence| evidence.kept = kept)
+        };
+        let all: &[usize] = &[0, 1, 2, 3];
+        let fine = of(vec![about(0, 0.0015, Some(0.04)), about(1, 0.0001, None)], &[], all);
+        assert_eq!((fine.grade, codes(&fine)), (Grade::Good, vec![]));
+        let photos = || vec![about(0, 0.003, Some(0.01)), about(2, 0.004, Some(0.2)), about(1, 0.0, None)];
+        let off = of(photos(), &["the flash is at the lens", "a square"], all);
+        assert_eq!(codes(&off), ["assumed", "acquired_positions", "acquired_light"]);
+        assert_eq!(off.reasons[0].text, "the flash is at the lens; a square");
+        assert!(off.reasons[1].text.starts_with("[0.5, 0.3, 2.0]: ") && off.reasons[1].text.contains("0.40 %"));
+        assert!(off.reasons[2].text.ends_with("off by 20 % from what one light explains"), "{off:?}");
+        assert_eq!(codes(&of(photos(), &[], &[1, 3])), Vec::<&str>::new());
     }
 
     #[test]
