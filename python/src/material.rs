@@ -213,8 +213,8 @@ impl PyMaterial {
 
     /// How the surface leans as a whole: the mean slopes of its normals towards +x and +y.
     #[getter]
-    fn tilt(&self) -> [f64; 2] {
-        self.material.tilt()
+    fn tilt(&self) -> (f64, f64) {
+        self.material.tilt().into()
     }
 
     /// The material lying flat.

@@ -951,12 +951,12 @@ def test_exports_are_those_of_the_command_line(fitted, tmp_path, target):
 
 
 def test_a_level_material_makes_a_plane(fitted, tmp_path):
-    assert fitted.report["tilt"] == pytest.approx(fitted.tilt)
+    assert fitted.report["tilt"] == pytest.approx(list(fitted.tilt))
     level = fitted.leveled()
     assert level.report == fitted.report and max(map(abs, level.tilt)) < 1e-6
     slopes = fitted.normal[..., :2] / fitted.normal[..., 2:]
     np.testing.assert_allclose(level.normal[..., :2] / level.normal[..., 2:], slopes - fitted.tilt, atol=1e-5)
-    assert fitted.export(tmp_path / "level", to="unreal")["tilt_removed"] == pytest.approx(fitted.tilt)
+    assert fitted.export(tmp_path / "level", to="unreal")["tilt_removed"] == pytest.approx(list(fitted.tilt))
     assert "tilt_removed" not in fitted.export(tmp_path / "as-it-is", to="unreal", level=False)
 
 
