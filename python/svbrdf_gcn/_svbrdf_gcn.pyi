@@ -567,7 +567,7 @@ class Material:
         Unit tangents of an anisotropic material, a read-only array of shape (H, W, 3); else None.
         """
     @property
-    def tilt(self, /) -> list[float]:
+    def tilt(self, /) -> tuple[float, float]:
         """
         How the surface leans as a whole: the mean slopes of its normals towards +x and +y.
         """
