@@ -98,7 +98,12 @@ impl Material {
 
     /// [`Material::limited`] whatever the values are: those of files, which may be rounded or in another colour space, and averages of vectors.
     pub(crate) fn normalised(&self) -> Result<Self> {
-        let limited = Self::from_maps(&self.planes()?, self.patch_size)?;
+        self.with_maps(&self.planes()?)
+    }
+
+    /// Other maps of the same patch, limited as [`Material::from_maps`] does.
+    fn with_maps(&self, maps: &Maps<f32>) -> Result<Self> {
+        let limited = Self::from_maps(maps, self.patch_size)?;
         Ok(Self { unit: self.unit.clone(), warnings: self.warnings.clone(), ..limited })
     }
 
@@ -123,8 +128,7 @@ impl Material {
                 *component -= tilt[axis] as f32 * up;
             }
         }
-        let level = Self::from_maps(&maps, self.patch_size)?;
-        Ok(Self { unit: self.unit.clone(), warnings: self.warnings.clone(), ..level })
+        self.with_maps(&maps)
     }
 
     /// Bytes of its maps in memory.

@@ -14,6 +14,12 @@ pub struct Shot {
 }
 
 impl Shot {
+    /// The irradiance of the sample's plane at (x, y) under a light of intensity 1: cosine over squared distance.
+    pub(crate) fn fall_off(&self, [x, y]: [f64; 2]) -> f64 {
+        let to_light = [self.light[0] - x, self.light[1] - y, self.light[2]];
+        to_light[2] / to_light.iter().map(|x| x * x).sum::<f64>().powf(1.5)
+    }
+
     /// What cannot be a position of camera or light in front of the sample: the field, and why.
     pub(crate) fn misplaced(&self) -> Option<(&'static str, String)> {
         [("camera", self.camera), ("light", self.light)].into_iter().find_map(|(field, position)| {

@@ -35,9 +35,7 @@ pub fn intensity(photos: &[(&Image, &[u8], Shot, f64)], width: f64) -> Result<f6
         let (x, y) = ((p % side) as f64 + 0.5, (p / side) as f64 + 0.5);
         let at = [x * pitch - width / 2.0, width / 2.0 - y * pitch];
         let one = |&(image, saturated, shot, exposure): &(&Image, &[u8], Shot, f64)| {
-            let [right, up] = [0, 1].map(|i| shot.light[i] - at[i]);
-            let distance2 = right * right + up * up + shot.light[2] * shot.light[2];
-            let irradiance = exposure * shot.light[2] / (distance2 * distance2.sqrt());
+            let irradiance = exposure * shot.fall_off(at);
             (saturated[p] >> c & 1 == 1, f64::from(image.data()[3 * p + c]) * PI / irradiance)
         };
         let mut all: Vec<(bool, f64)> = photos.iter().map(one).collect();

@@ -70,10 +70,8 @@ impl Assumed {
         let (width, height) = (photo.width(), photo.height());
         let pitch = Self::patch_size(width, height) / width as f64;
         let along = |pixel: usize, pixels: usize| (pixel as f64 + 0.5 - pixels as f64 / 2.0) * pitch;
-        let irradiance = |p: usize| {
-            let (x, y) = (along(p % width, width), along(p / width, height));
-            self.distance / (x * x + y * y + self.distance * self.distance).powf(1.5)
-        };
+        let shot = self.shot();
+        let irradiance = |p: usize| shot.fall_off([along(p % width, width), along(p / width, height)]);
         let needed = brightest(photo, |p| std::f64::consts::PI / irradiance(p)) / BRIGHTEST_ALBEDO;
         if self.light_is_chosen && needed > 0.0 { Self { light_intensity: [needed; 3], ..self } } else { self }
     }

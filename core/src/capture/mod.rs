@@ -630,8 +630,7 @@ impl Capture {
         let shot = assumed.shot();
         shot.check(&self.photos[0].name)?;
         let photos = self.photos.iter().map(|photo| Photo { shot, ..photo.clone() }).collect();
-        let (unit, acquired, warnings) = (self.unit.clone(), self.acquired.clone(), self.warnings.clone());
-        Ok(Self { photos, unit, acquired, warnings, assumed: Some(assumed), ..*self })
+        Ok(Self { assumed: Some(assumed), ..self.with_photos(photos) })
     }
 
     /// What a user should know about how the capture was read.
@@ -645,8 +644,12 @@ impl Capture {
     /// [`Error::InvalidArgument`] if `views` is empty, names a photo twice or one that does not exist.
     pub fn select(&self, views: &[usize]) -> Result<Self> {
         let photos = check_views(views, self.len())?.iter().map(|&view| self.photos[view].clone()).collect();
+        Ok(self.with_photos(photos))
+    }
+
+    fn with_photos(&self, photos: Vec<Photo>) -> Self {
         let (unit, acquired, warnings) = (self.unit.clone(), self.acquired.clone(), self.warnings.clone());
-        Ok(Self { photos, unit, acquired, warnings, ..*self })
+        Self { photos, unit, acquired, warnings, ..*self }
     }
 }
 

@@ -52,9 +52,8 @@ pub(super) fn usual_exposure(capture: &Capture) -> Result<Cow<'_, Capture>> {
 
 /// The radiance of a white matt surface in the middle of the patch, in its brightest channel.
 fn white(shot: &Shot) -> f64 {
-    let distance = shot.light.iter().map(|x| x * x).sum::<f64>().sqrt();
     let brightest = shot.light_intensity.into_iter().fold(0.0, f64::max);
-    brightest * shot.light[2] / distance.powi(3) / std::f64::consts::PI
+    brightest * shot.fall_off([0.0; 2]) / std::f64::consts::PI
 }
 
 /// What should be said of the photos before the fit.

@@ -52,16 +52,14 @@ pub(super) fn contradicting(capture: &Capture, options: &FitOptions, control: &m
         worst.sort_by(|&a, &b| each[b].total_cmp(&each[a]));
         let median = each[worst[worst.len() / 2]];
         worst.retain(|&place| each[place] > SUSPECT * median);
-        let mut best: Option<(f64, Vec<f64>, usize)> = None;
-        for place in worst.into_iter().take(TRIED) {
-            control.poll()?;
+        worst.truncate(TRIED);
+        let tried = control.each(&worst, |&place, control| {
             let without: Vec<usize> = rest.iter().copied().filter(|&photo| photo != rest[place]).collect();
             let (error, errors) = errors(&capture.select(&without)?, &options, control)?;
-            if best.as_ref().is_none_or(|(least, ..)| error < *least) {
-                best = Some((error, errors, rest[place]));
-            }
-        }
-        let Some((error, errors, photo)) = best else { break };
+            Ok((error, errors, rest[place]))
+        })?;
+        // The first of those with the least error.
+        let Some((error, errors, photo)) = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
         tracing::debug!("without {}: error {error:.4} instead of {whole:.4}", capture.photos()[photo].name);
         left_out.push(photo);
         each = errors;

@@ -5,6 +5,9 @@
 //! computes on. Everything is `#[inline(always)]`, so that a kernel becomes one straight piece of code.
 
 #[cfg(target_arch = "x86_64")]
+#[macro_use]
+mod bundles;
+#[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;

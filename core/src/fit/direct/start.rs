@@ -429,12 +429,10 @@ pub(super) fn diffuse_start(capture: &Capture) -> Vec<f32> {
 
 /// The albedo a flat Lambertian surface would need for what `photo` shows at `pixel`.
 pub(super) fn flat_albedo(photo: &Photo, position: [f64; 2], pixel: usize) -> [f32; 3] {
-    let to_light = [photo.shot.light[0] - position[0], photo.shot.light[1] - position[1], photo.shot.light[2]];
-    let distance2: f64 = to_light.iter().map(|x| x * x).sum();
-    let n_dot_l = to_light[2] / distance2.sqrt();
+    let fall_off = photo.shot.fall_off(position);
     let seen = &photo.image.data()[3 * pixel..3 * pixel + 3];
     [0, 1, 2].map(|c| {
-        let irradiance = photo.shot.light_intensity[c] * n_dot_l / distance2;
+        let irradiance = photo.shot.light_intensity[c] * fall_off;
         // An unlit channel says nothing: grey.
         if irradiance > 0.0 { (f64::from(seen[c]) * std::f64::consts::PI / irradiance) as f32 } else { 0.5 }
     })
