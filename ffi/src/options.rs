@@ -190,12 +190,14 @@ pub enum svbrdf_gcn_reflectance {
 /// What of the capture's own statements a fit may correct.
 #[repr(i32)]
 pub enum svbrdf_gcn_refine {
-    /// The light where photos left out are predicted better with it, else nothing.
+    /// What predicts photos left out better.
     SVBRDF_GCN_REFINE_AUTO = 0,
     /// Nothing: the stated light exactly.
     SVBRDF_GCN_REFINE_NONE = 1,
     /// A factor on the stated light of each photo.
     SVBRDF_GCN_REFINE_LIGHT = 2,
+    /// That, and the position of camera and light, which move together.
+    SVBRDF_GCN_REFINE_ALL = 3,
 }
 
 /// How stored pixel values relate to linear radiance. It is always stated, never guessed.
@@ -348,6 +350,7 @@ impl svbrdf_gcn_options {
             (SVBRDF_GCN_REFINE_AUTO as i32, Refine::Auto),
             (SVBRDF_GCN_REFINE_NONE as i32, Refine::None),
             (SVBRDF_GCN_REFINE_LIGHT as i32, Refine::Light),
+            (SVBRDF_GCN_REFINE_ALL as i32, Refine::All),
         ];
         let mut options = FitOptions::preset(choose("preset", self.preset, &preset)?)
             .method(choose("method", self.method, &method)?)

@@ -232,7 +232,7 @@ enum svbrdf_gcn_refine
 #endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
  {
   /**
-   * The light where photos left out are predicted better with it, else nothing.
+   * What predicts photos left out better.
    */
   SVBRDF_GCN_REFINE_AUTO = 0,
   /**
@@ -243,6 +243,10 @@ enum svbrdf_gcn_refine
    * A factor on the stated light of each photo.
    */
   SVBRDF_GCN_REFINE_LIGHT = 2,
+  /**
+   * That, and the position of camera and light, which move together.
+   */
+  SVBRDF_GCN_REFINE_ALL = 3,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L

@@ -108,6 +108,7 @@ enum class Refine : std::int32_t {
     Auto = SVBRDF_GCN_REFINE_AUTO,
     None = SVBRDF_GCN_REFINE_NONE,
     Light = SVBRDF_GCN_REFINE_LIGHT,
+    All = SVBRDF_GCN_REFINE_ALL,
 };
 
 enum class Transfer : std::int32_t {

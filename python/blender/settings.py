@@ -128,11 +128,12 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
     )
     refine: EnumProperty(
         name="Refine",
-        description="What of the stated light may be corrected",
+        description="What of the capture's statements may be corrected",
         items=[
-            ("auto", "Auto", "The light of each photo, where photos left out are predicted better with it"),
+            ("auto", "Auto", "What predicts photos left out better"),
             ("none", "None", "The stated light exactly"),
             ("light", "Light", "A factor on the light of each photo"),
+            ("all", "All", "That, and the position of camera and light"),
         ],
     )
     level: BoolProperty(name="Level", description="Take the tilt of the whole surface out, so that tiles of it make a plane", default=True)

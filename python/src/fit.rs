@@ -197,8 +197,8 @@ impl PyModel {
 /// reflectance : {"auto", "diffuse", "dielectric", "isotropic", "anisotropic"}, default "auto"
 ///     What the surface is taken to be made of; auto: the simplest that predicts photos left out as well as the others do. All maps come
 ///     out in any case. A network of the paper's form takes ``"auto"`` alone.
-/// refine : {"auto", "none", "light"}, default "auto"
-///     What of the capture's statements may be corrected; auto: the light of each photo, where photos left out are predicted better with it.
+/// refine : {"auto", "none", "light", "all"}, default "auto"
+///     What of the capture's statements may be corrected: the light of each photo, or that and its position; auto: what predicts photos left out better.
 /// weights : Model, str or os.PathLike, optional
 ///     Other weights than those built in.
 /// latent_steps, adapter_steps, direct_steps, finish_steps : int, optional
@@ -346,7 +346,7 @@ const REFLECTANCES: [Reflectance; 5] = [
     Reflectance::Anisotropic,
 ];
 
-const REFINES: [Refine; 3] = [Refine::Auto, Refine::None, Refine::Light];
+const REFINES: [Refine; 4] = [Refine::Auto, Refine::None, Refine::Light, Refine::All];
 
 fn method_name(method: Method) -> &'static str {
     match method {

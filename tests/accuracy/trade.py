@@ -30,7 +30,7 @@ AXES = [
     ("steps of direct", [Variant(f"trade-direct-{n}", f"{n}", ("--direct-steps", str(n))) for n in (50, 150, 600, 1200)]),
     ("steps of the finish", [Variant(f"trade-finish-{n}", f"{n}", ("--finish-steps", str(n))) for n in (0, 4, 40)]),
     ("reflectance", [Variant(f"trade-{n}", n, ("--reflectance", n)) for n in ("diffuse", "dielectric", "isotropic", "anisotropic")]),
-    ("light", [Variant(f"trade-refine-{n}", n, ("--refine", n)) for n in ("none", "light")]),
+    ("light", [Variant(f"trade-refine-{n}", n, ("--refine", n)) for n in ("none", "light", "all")]),
     (
         "network",
         [

@@ -114,6 +114,7 @@ enum RefineArg {
     Auto,
     None,
     Light,
+    All,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -146,6 +147,7 @@ impl FitArgs {
             RefineArg::Auto => Refine::Auto,
             RefineArg::None => Refine::None,
             RefineArg::Light => Refine::Light,
+            RefineArg::All => Refine::All,
         };
         options.latent_steps = self.latent_steps;
         options.adapter_steps = self.adapter_steps;

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::direct::{FoldRelief, PHOTO_DEVIATION, fit_folds};
 use crate::capture::Capture;
 use crate::error::Result;
-use crate::fit::optim::holdout::thinned;
+use crate::fit::optim::holdout::{LEFT_OUT, thinned};
 use crate::fit::options::{FitOptions, Refine, Reflectance};
 use crate::maps::Lobe;
 use crate::progress::{Control, Stage};
@@ -26,8 +26,14 @@ const STEPS_MIN: usize = 50;
 /// A richer reflectance has to take away more than this share of the squared error of photos left out; two lobes more than that.
 const GAIN: f64 = 0.01;
 const ANISOTROPIC_GAIN: f64 = 0.15;
+/// Fits of few steps may rank two reflectances wrongly where their squared errors are nearer than this factor.
+const NEAR: f64 = 1.1;
+/// Share of the squared error that the richer of two near ones has to take away with all steps: on textures of dielectrics it took or added 2 %.
+const NEAR_GAIN: f64 = 0.03;
 /// Share of the squared error that the stated light has to take away from the refined one.
 const LIGHT_GAIN: f64 = 0.005;
+/// Share of the squared error that refined positions have to take away.
+const PLACE_GAIN: f64 = 0.02;
 /// Share of pixels whose specular albedo is a metal's above which the simpler reflectances do not count.
 const METALLIC_SHARE: f64 = 0.01;
 /// Errors (gamma 2.2 codes) below which a round lobe is good enough.
@@ -39,7 +45,7 @@ const ROUND_ENOUGH: f64 = 0.004;
 pub struct Comparison {
     /// The reflectance.
     pub reflectance: Reflectance,
-    /// Root mean square of gamma 2.2 codes over the photos left out.
+    /// Root mean square of gamma 2.2 codes over the photos left out; after few steps, or all, where two were too near to be told apart by few.
     pub error: f64,
 }
 
@@ -81,14 +87,15 @@ impl Choice {
             return Ok(Self { reflectance, refine, comparisons });
         }
         let (thin, _) = thinned(capture, SIDE)?;
-        let mut folds = |reflectance: Reflectance, refine: Refine| {
-            let options = FitOptions { reflectance, refine, direct_steps: Some(steps), ..options.clone() };
-            fit_folds(&thin, FoldRelief::Flat, Some(PHOTO_DEVIATION), FOLDS, &options, control)
+        let few = FitOptions { direct_steps: Some(steps), ..options.clone() };
+        let mut folds = |most: usize, options: FitOptions| {
+            fit_folds(&thin, FoldRelief::Flat, Some(PHOTO_DEVIATION), most, &options, control)
         };
+        let mut refined = None;
         if reflectance == Reflectance::Auto {
             let mut metallic = false;
             for reflectance in CANDIDATES {
-                let folds = folds(reflectance, refine)?;
+                let folds = folds(FOLDS, FitOptions { reflectance, refine, ..few.clone() })?;
                 metallic |= reflectance == Reflectance::Isotropic && folds.metallic_share() > METALLIC_SHARE;
                 comparisons.push(Comparison { reflectance, error: folds.error()? });
             }
@@ -96,14 +103,29 @@ impl Choice {
             let allows_metal = |one: &Comparison| one.reflectance == Reflectance::Isotropic;
             let first = if metallic { comparisons.iter().position(allows_metal).unwrap_or(0) } else { 0 };
             reflectance = simplest(&comparisons[first..]);
+            let tried = comparisons.clone();
+            let mut full = |reflectance: Reflectance| {
+                folds(LEFT_OUT, FitOptions { reflectance, refine, ..options.clone() })?.error()
+            };
+            reflectance = verified(reflectance, &mut comparisons, &mut full)?;
+            refined = tried.iter().find(|one| one.reflectance == reflectance).map(|one| one.error);
         }
         if refine == Refine::Auto {
-            let refined = comparisons.iter().find(|one| one.reflectance == reflectance).map(|one| one.error);
-            let refined = refined.map_or_else(|| folds(reflectance, Refine::Light)?.error(), Ok)?;
-            let stated = folds(reflectance, Refine::None)?.error()?;
-            tracing::debug!("photos left out, light as stated and refined: {stated:.4}, {refined:.4}");
-            // Light is seldom known exactly: as stated where that is clearly better.
-            refine = if stated.powi(2) < (1.0 - LIGHT_GAIN) * refined.powi(2) { Refine::None } else { Refine::Light };
+            let mut error = |refine: Refine| folds(FOLDS, FitOptions { reflectance, refine, ..few.clone() })?.error();
+            let refined = refined.map_or_else(|| error(Refine::Light), Ok)?;
+            let [stated, placed] = [error(Refine::None)?, error(Refine::All)?];
+            tracing::debug!(
+                "photos left out, as stated, light and positions refined: {stated:.4}, {refined:.4}, {placed:.4}"
+            );
+            let better = |one: f64, share: f64, other: f64| one.powi(2) < (1.0 - share) * other.powi(2);
+            // Light is seldom known exactly: as stated where that is clearly better. Positions often are, and can be wrong in many ways.
+            refine = if better(stated, LIGHT_GAIN, refined.min(placed)) {
+                Refine::None
+            } else if better(placed, PLACE_GAIN, refined) {
+                Refine::All
+            } else {
+                Refine::Light
+            };
         }
         tracing::debug!("reflectance {}, refine {}: {comparisons:?}", reflectance.name(), refine.name());
         Ok(Self { reflectance, refine, comparisons })
@@ -124,9 +146,27 @@ fn simplest(comparisons: &[Comparison]) -> Reflectance {
     found.map_or(Reflectance::Isotropic, |(_, comparison)| comparison.reflectance)
 }
 
+/// `chosen`, or the next richer one of a round lobe where it is near and clearly better with all steps (`full`). The errors of both, if tried, become those.
+fn verified(
+    chosen: Reflectance,
+    comparisons: &mut [Comparison],
+    full: &mut dyn FnMut(Reflectance) -> Result<f64>,
+) -> Result<Reflectance> {
+    let Some(first) = comparisons.iter().position(|one| one.reflectance == chosen) else { return Ok(chosen) };
+    let [simple, richer, ..] = &mut comparisons[first..] else { return Ok(chosen) };
+    if richer.reflectance == Reflectance::Anisotropic || richer.error.powi(2) > NEAR * simple.error.powi(2) {
+        return Ok(chosen);
+    }
+    for one in [&mut *simple, &mut *richer] {
+        one.error = full(one.reflectance)?;
+    }
+    let better = richer.error.powi(2) < (1.0 - NEAR_GAIN) * simple.error.powi(2);
+    Ok(if better { richer.reflectance } else { chosen })
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{CANDIDATES, Choice, Comparison, simplest};
+    use super::{CANDIDATES, Choice, Comparison, simplest, verified};
     use crate::cancel::CancelToken;
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
@@ -208,6 +248,32 @@ mod tests {
         let ratio = maps.plane(7)[0] / maps.plane(6)[0];
         let expected = vector[0].hypot(vector[1]).exp();
         assert!((ratio / expected - 1.0).abs() < 0.25, "{ratio} {expected}");
+    }
+
+    #[test]
+    fn near_ones_are_tried_with_all_steps() {
+        let comparisons = CANDIDATES
+            .into_iter()
+            .zip([0.2, 0.05, 0.052, 0.05])
+            .map(|(reflectance, error)| Comparison { reflectance, error });
+        let comparisons: Vec<_> = comparisons.collect();
+        let chosen = |first, errors: [f64; 2]| {
+            let mut tried = Vec::new();
+            let mut comparisons = comparisons.clone();
+            let mut full = |reflectance| {
+                tried.push(reflectance);
+                Ok(errors[tried.len() - 1])
+            };
+            let chosen = verified(first, &mut comparisons, &mut full).unwrap();
+            (chosen, tried)
+        };
+        let pair = vec![Reflectance::Dielectric, Reflectance::Isotropic];
+        assert_eq!(chosen(Reflectance::Dielectric, [0.04, 0.039]), (Reflectance::Isotropic, pair.clone()));
+        assert_eq!(chosen(Reflectance::Dielectric, [0.04, 0.0399]), (Reflectance::Dielectric, pair));
+        // Two roughnesses have to be better with few steps already.
+        assert_eq!(chosen(Reflectance::Isotropic, [0.0; 2]), (Reflectance::Isotropic, vec![]));
+        assert_eq!(chosen(Reflectance::Anisotropic, [0.0; 2]), (Reflectance::Anisotropic, vec![]));
+        assert_eq!(chosen(Reflectance::Diffuse, [0.04, 0.03]).0, Reflectance::Dielectric);
     }
 
     #[test]

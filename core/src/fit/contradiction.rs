@@ -7,7 +7,6 @@
 
 use crate::capture::{Capture, Photo};
 use crate::error::Result;
-use crate::fit::direct::light;
 use crate::fit::direct::{Relief, fit_direct};
 use crate::fit::optim::holdout::thinned;
 use crate::fit::options::FitOptions;
@@ -77,13 +76,12 @@ fn errors(capture: &Capture, options: &FitOptions, control: &mut Control<'_>) ->
     control.poll()?;
     let fit = |control: &mut Control<'_>| fit_direct(capture, Relief::Flat, options, &mut Vec::new(), control);
     let (direct, _) = Control::silently(options.cancel.clone(), fit)?;
-    let shots = light::shots(capture, &direct.gains);
     let error = |(photo, shot): (&Photo, Shot)| -> Result<f64> {
         let mut target = photo.target()?;
         target.set_shot(shot);
         Ok((photo_loss(&direct.maps, capture.patch_size(), &[target], None)? / 1000.0).sqrt())
     };
-    let each = capture.photos().iter().zip(shots).map(error).collect::<Result<Vec<f64>>>()?;
+    let each = capture.photos().iter().zip(direct.shots.iter().copied()).map(error).collect::<Result<Vec<f64>>>()?;
     let mean = each.iter().map(|error| error * error).sum::<f64>() / each.len() as f64;
     Ok((mean.sqrt(), each))
 }

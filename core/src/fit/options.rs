@@ -120,13 +120,15 @@ impl Reflectance {
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Refine {
-    /// [`Refine::Light`] where photos left out are predicted better with it, else [`Refine::None`].
+    /// What predicts photos left out better: [`Refine::Light`], [`Refine::None`] or [`Refine::All`].
     #[default]
     Auto,
     /// Nothing: the stated light exactly.
     None,
     /// A factor on the stated light of each photo.
     Light,
+    /// That, and the position of camera and light, which move together.
+    All,
 }
 
 impl Refine {
@@ -136,6 +138,7 @@ impl Refine {
             Self::Auto => "auto",
             Self::None => "none",
             Self::Light => "light",
+            Self::All => "all",
         }
     }
 }

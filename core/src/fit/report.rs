@@ -9,6 +9,7 @@ use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::choice::{Choice, Comparison};
 use crate::fit::conditions;
+use crate::fit::direct::light;
 use crate::fit::optim::descent::Descent;
 use crate::fit::options::FitOptions;
 use crate::fit::options::{Method, Preset, Refine, Reflectance};
@@ -19,6 +20,7 @@ use crate::material::Material;
 use crate::metrics::photo_rmse;
 use crate::progress::Stage;
 use crate::render::render;
+use crate::shot::Shot;
 
 /// What one stage did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -86,6 +88,9 @@ pub struct FitReport {
     pub stages: Vec<StageReport>,
     /// Error of each photo re-rendered under the stated light: RMSE of gamma 2.2 encoded values, clamped to [0, 1].
     pub photo_errors: Vec<f64>,
+    /// How far camera and light of each photo were moved for the fit, in the capture's unit; `None` where the stated positions were taken, 0 for photos left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_offsets: Option<Vec<[f64; 3]>>,
     /// Factor on the stated light intensity of each photo with which the maps were fitted; `None` where the stated ones were taken, 1 for photos left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub light_gains: Option<Vec<f64>>,
@@ -120,7 +125,12 @@ impl FitReport {
         started: Instant,
     ) -> Result<Self> {
         let Selection { contradicting, kept, route } = selection;
-        let State { maps, gains, weighting, expected, stages, .. } = state;
+        let State { maps, shots, weighting, expected, stages, .. } = state;
+        let refined = || kept.iter().map(|&photo| &capture.photos()[photo].shot).zip(shots.iter().flatten());
+        let gains: Option<Vec<f64>> =
+            shots.is_some().then(|| refined().map(|(stated, shot)| light::gain(shot, stated)).collect());
+        let offset = |(stated, shot): (&Shot, &Shot)| [0, 1, 2].map(|i| shot.camera[i] - stated.camera[i]);
+        let offsets: Option<Vec<[f64; 3]>> = (choice.refine == Refine::All).then(|| refined().map(offset).collect());
         let (mut photo_errors, mut shifts) = (Vec::new(), Vec::new());
         for photo in capture.photos() {
             let rendering = render(material, &photo.shot)?;
@@ -160,11 +170,8 @@ impl FitReport {
             assumed: capture.assumed().copied(),
             stages,
             photo_errors,
-            light_gains: gains.map(|gains| {
-                let mut all = vec![1.0; capture.len()];
-                kept.iter().zip(gains).for_each(|(&photo, gain)| all[photo] = gain);
-                all
-            }),
+            position_offsets: offsets.map(|offsets| of_all(capture.len(), kept, offsets, [0.0; 3])),
+            light_gains: gains.map(|gains| of_all(capture.len(), kept, gains, 1.0)),
             photo_deviation: weighting.map(|weighting| weighting.photo),
             believed_shares: weighting.map(|weighting| [weighting.normal, weighting.specular]),
             tilt: material.tilt(),
@@ -174,4 +181,11 @@ impl FitReport {
             warnings,
         })
     }
+}
+
+/// One value for each of `count` photos: `values` for the `kept` ones, `other` for the rest.
+fn of_all<T: Copy>(count: usize, kept: &[usize], values: Vec<T>, other: T) -> Vec<T> {
+    let mut all = vec![other; count];
+    kept.iter().zip(values).for_each(|(&photo, value)| all[photo] = value);
+    all
 }

@@ -22,15 +22,18 @@ use crate::maps::Maps;
 use crate::nn::PhotoGraph;
 use crate::progress::{Control, Progress, ProgressFn, Stage};
 use crate::raw::{self, RAW};
+use crate::shot::Shot;
 
 /// Share of the error of photos left out that another pass has to take away.
 const PASS_GAIN: f64 = 0.01;
+/// Another pass begins nearer to its end: it takes this fraction of the first one's steps.
+const PASS_STEPS: usize = 3;
 
 /// What a run has come to.
 pub(crate) struct State {
     pub maps: Maps<f32>,
-    /// Factors on the light of the photos, where they were estimated.
-    pub gains: Option<Vec<f64>>,
+    /// How the photos are taken to have been shot, where that was corrected.
+    pub shots: Option<Vec<Shot>>,
     /// Where the finish ran.
     pub deviations: Option<Deviations>,
     pub weighting: Option<Weighting>,
@@ -40,8 +43,8 @@ pub(crate) struct State {
 }
 
 impl State {
-    fn new(maps: Maps<f32>, gains: Option<Vec<f64>>, stages: Vec<StageReport>) -> Self {
-        Self { maps, gains, deviations: None, weighting: None, expected: None, stages }
+    fn new(maps: Maps<f32>, shots: Option<Vec<Shot>>, stages: Vec<StageReport>) -> Self {
+        Self { maps, shots, deviations: None, weighting: None, expected: None, stages }
     }
 }
 
@@ -104,7 +107,7 @@ fn fit_graph(capture: &Capture, graph: &PhotoGraph, options: &FitOptions, contro
         Rehearsal::default()
     } else if sharing {
         let relief = if takes_relief { FoldRelief::Common(&predicted) } else { FoldRelief::Flat };
-        Rehearsal::of_direct(capture, fit_folds(capture, relief, None, LEFT_OUT, options, control)?, floor)
+        Rehearsal::of_direct(fit_folds(capture, relief, None, LEFT_OUT, options, control)?, floor)
     } else {
         // The prediction hardly changes where a photo is left out.
         Rehearsal::of_prediction(capture, &network)
@@ -112,11 +115,13 @@ fn fit_graph(capture: &Capture, graph: &PhotoGraph, options: &FitOptions, contro
     let mut judgement = problem.judge(&rehearsal, control)?;
     state = finish(&problem, judgement, state, graph, options, control)?;
     let passes = if sharing && capture.len() > 2 { options.preset.passes() } else { 1 };
+    let options =
+        &FitOptions { direct_steps: Some(options.steps(Stage::Direct).div_ceil(PASS_STEPS)), ..options.clone() };
     for _ in 1..passes {
         let without = |fold: &Fold| relief_of_raw(&problem.without(fold, judgement.weighting, &rehearsal));
         let reliefs: Vec<Vec<f32>> = rehearsal.folds.iter().map(without).collect();
         let folds = fit_folds(capture, FoldRelief::Each(&reliefs), None, LEFT_OUT, options, control)?;
-        rehearsal = Rehearsal::of_direct(capture, folds, floor);
+        rehearsal = Rehearsal::of_direct(folds, floor);
         let next = problem.judge(&rehearsal, control)?;
         let [before, after] = [judgement, next].map(|one| one.expected.map_or(0.0, |expected| expected.error));
         tracing::debug!("photos left out, before another pass and after it: {before:.4}, {after:.4}");
@@ -139,9 +144,9 @@ fn share(
     options: &FitOptions,
     control: &mut Control<'_>,
 ) -> Result<(State, bool)> {
-    let (DirectFit { maps, gains }, takes_relief) = fit_direct(capture, relief, options, &mut stages, control)?;
-    let gains = (options.refine != Refine::None).then_some(gains);
-    Ok((State::new(maps, gains, stages), takes_relief))
+    let (DirectFit { maps, shots }, takes_relief) = fit_direct(capture, relief, options, &mut stages, control)?;
+    let shots = (options.refine != Refine::None).then_some(shots);
+    Ok((State::new(maps, shots, stages), takes_relief))
 }
 
 /// Stage finish: every pixel by itself, near the maps of `state`.
@@ -156,7 +161,7 @@ fn finish(
     let (round, anisotropy) = anisotropy::split(&state.maps);
     let mut shared = vec![0.0; RAW * round.width() * round.height()];
     raw::encode(&round, graph.config().roughness_floor, &mut shared);
-    let shots = problem.shots(state.gains.as_deref());
+    let shots = state.shots.clone().unwrap_or_else(|| problem.shots());
     let start = Start { raw: &shared, anisotropy: &anisotropy, shots: &shots };
     let steps = options.steps(Stage::Finish);
     let Finished { raw, deviation, expected } = problem.finish(start, judgement, steps, &mut state.stages, control)?;

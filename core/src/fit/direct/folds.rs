@@ -19,7 +19,7 @@ pub(crate) struct Folds {
     /// All photos on a regular grid of pixels, and which pixels of the capture these are.
     pub thinned: Capture,
     pub pixels: Vec<usize>,
-    /// The photo left out, and what was found; its gain is that with which the maps predict it best.
+    /// The photo left out, and what was found; its light is that with which the maps predict it best.
     pub folds: Vec<(usize, DirectFit)>,
 }
 
@@ -104,9 +104,9 @@ pub(crate) fn fit_folds(
         let (mut direct, _) = problem.fit_in_rounds(&rest, options, control)?;
         let gain = match options.refine {
             Refine::None => 1.0,
-            Refine::Auto | Refine::Light => light::held_out_gain(&thin, without, &direct.maps)?,
+            Refine::Auto | Refine::Light | Refine::All => light::held_out_gain(&thin, without, &direct.maps)?,
         };
-        direct.gains.insert(without, gain);
+        direct.shots.insert(without, light::lit(&thin.photos()[without].shot, gain));
         Ok((without, direct))
     })?;
     Ok(Folds { thinned: thin, pixels, folds })

@@ -1,11 +1,13 @@
-//! How bright the light of each photo was: real captures know it to some per cent only, and cameras choose exposures by themselves.
+//! How each photo was taken: real captures know the light to some per cent only, and cameras choose exposures by themselves.
 //!
 //! Not from the paper.
 
 use rayon::prelude::*;
 
+use super::place::placed;
 use crate::capture::{Capture, Photo};
 use crate::error::Result;
+use crate::fit::options::Refine;
 use crate::maps::Maps;
 use crate::render::{encode_radiance, render_maps};
 use crate::shot::Shot;
@@ -21,15 +23,22 @@ const PHOTOS_MIN: usize = 3;
 /// Rounds of reweighting.
 const ROUNDS: usize = 10;
 
-/// A factor on the stated light intensity of every photo of `capture`, with which `maps` explain it better: near 1 in the geometric mean.
-pub(super) fn gains(capture: &Capture, maps: &Maps<f32>) -> Result<Vec<f64>> {
+/// The shots of `capture` as `refine` lets `maps` correct them: the light of each by a factor, near 1 in the geometric mean; positions.
+pub(super) fn refined(capture: &Capture, maps: &Maps<f32>, refine: Refine) -> Result<Vec<Shot>> {
     let count = capture.len();
-    if count < PHOTOS_MIN {
-        return Ok(vec![1.0; count]);
+    if count < PHOTOS_MIN || refine == Refine::None {
+        return Ok(stated(capture));
     }
-    let logs = (0..count).map(|photo| log_gain(capture, photo, maps)).collect::<Result<Vec<f64>>>()?;
+    let shots = if refine == Refine::All { placed(capture, maps)? } else { stated(capture) };
+    let log = |(photo, shot)| log_gain(photo, shot, capture.patch_size(), maps);
+    let logs = capture.photos().iter().zip(&shots).map(log).collect::<Result<Vec<f64>>>()?;
     let mean = logs.iter().sum::<f64>() / count as f64;
-    Ok(logs.iter().map(|log| believed(log - mean)).collect())
+    Ok(shots.iter().zip(logs).map(|(shot, log)| lit(shot, believed(log - mean))).collect())
+}
+
+/// The shots as `capture` states them.
+pub(crate) fn stated(capture: &Capture) -> Vec<Shot> {
+    capture.photos().iter().map(|photo| photo.shot).collect()
 }
 
 /// Likewise for one photo that `maps` have not seen; theirs are near 1.
@@ -37,7 +46,15 @@ pub(super) fn held_out_gain(capture: &Capture, photo: usize, maps: &Maps<f32>) -
     if capture.len() <= PHOTOS_MIN {
         return Ok(1.0);
     }
-    Ok(believed(log_gain(capture, photo, maps)?))
+    let photo = &capture.photos()[photo];
+    Ok(believed(log_gain(photo, &photo.shot, capture.patch_size(), maps)?))
+}
+
+/// The factor on the light of `stated` that `shot` has.
+pub(crate) fn gain(shot: &Shot, stated: &Shot) -> f64 {
+    let brightest =
+        (0..3).max_by(|&a, &b| stated.light_intensity[a].total_cmp(&stated.light_intensity[b])).unwrap_or(0);
+    shot.light_intensity[brightest] / stated.light_intensity[brightest]
 }
 
 /// Whether a gain is the largest or the least that is granted.
@@ -49,14 +66,8 @@ fn believed(log: f64) -> f64 {
     (BELIEVED * log).clamp(-LIMIT, LIMIT).exp()
 }
 
-fn log_gain(capture: &Capture, photo: usize, maps: &Maps<f32>) -> Result<f64> {
-    let photo = &capture.photos()[photo];
-    Ok(2.2 * code_ratio(photo, &render_maps(maps, capture.patch_size(), &photo.shot)?).ln())
-}
-
-/// The shots of `capture` under these gains.
-pub(crate) fn shots(capture: &Capture, gains: &[f64]) -> Vec<Shot> {
-    capture.photos().iter().zip(gains).map(|(photo, &gain)| lit(&photo.shot, gain)).collect()
+fn log_gain(photo: &Photo, shot: &Shot, patch_size: f64, maps: &Maps<f32>) -> Result<f64> {
+    Ok(2.2 * code_ratio(photo, &render_maps(maps, patch_size, shot)?).ln())
 }
 
 /// `shot` under `gain` times its light.
@@ -95,9 +106,10 @@ fn code_ratio(photo: &Photo, rendering: &[f32]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{BELIEVED, gains, shots};
+    use super::{BELIEVED, gain, refined};
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
+    use crate::fit::options::Refine;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
     use crate::render::render_maps;
@@ -131,29 +143,32 @@ mod tests {
         Capture::new(photos.collect(), 2.0, Transfer::Linear).unwrap()
     }
 
+    fn gains(capture: &Capture, maps: &Maps<f32>) -> Vec<f64> {
+        let shots = refined(capture, maps, Refine::Light).unwrap();
+        capture.photos().iter().zip(&shots).map(|(photo, shot)| gain(shot, &photo.shot)).collect()
+    }
+
     #[test]
     fn other_light_is_found_as_far_as_it_is_believed() {
         let maps = maps();
         let truth = [0.9f64, 1.2, 1.0, 0.95];
         let mean = truth.iter().map(|t| t.ln()).sum::<f64>() / 4.0;
         let capture = capture(&maps, &truth);
-        let found = gains(&capture, &maps).unwrap();
+        let found = gains(&capture, &maps);
         for (found, truth) in found.iter().zip(truth) {
             assert!((found.ln() - BELIEVED * (truth.ln() - mean)).abs() < 0.01, "{found} {truth}");
         }
-        let lit = shots(&capture, &found);
-        assert!(
-            (lit[1].light_intensity[0] - 9.0 * found[1]).abs() < 1e-12
-                && lit[1].camera == capture.photos()[1].shot.camera
-        );
+        let lit = refined(&capture, &maps, Refine::Light).unwrap();
+        assert_eq!(lit[1].camera, capture.photos()[1].shot.camera);
+        assert_eq!(refined(&capture, &maps, Refine::None).unwrap()[1], capture.photos()[1].shot);
     }
 
     #[test]
     fn right_light_few_photos_and_black_ones_change_nothing() {
         let maps = maps();
-        assert!(gains(&capture(&maps, &[1.0; 4]), &maps).unwrap().iter().all(|gain| (gain - 1.0).abs() < 1e-6));
-        assert_eq!(gains(&capture(&maps, &[0.5, 1.0]), &maps).unwrap(), [1.0, 1.0]);
+        assert!(gains(&capture(&maps, &[1.0; 4]), &maps).iter().all(|gain| (gain - 1.0).abs() < 1e-6));
+        assert_eq!(gains(&capture(&maps, &[0.5, 1.0]), &maps), [1.0, 1.0]);
         let black = capture(&maps, &[0.0; 3]);
-        assert!(gains(&black, &maps).unwrap().iter().all(|gain| (gain - 1.0).abs() < 1e-9));
+        assert!(gains(&black, &maps).iter().all(|gain| (gain - 1.0).abs() < 1e-9));
     }
 }

@@ -20,22 +20,24 @@ mod folds;
 mod groups;
 pub(super) mod light;
 mod parameters;
+mod place;
 mod prior;
 mod relief;
 mod start;
 
 use std::time::Instant;
 
-use crate::capture::Capture;
+use crate::capture::{Capture, Photo};
 use crate::error::Result;
 use crate::fit::anisotropy;
 use crate::fit::optim::descent::{Descent, Settings, descend};
 use crate::fit::optim::holdout::{LEFT_OUT, REHEARSAL_SIDE, grid};
-use crate::fit::options::{FitOptions, Refine, Reflectance};
+use crate::fit::options::{FitOptions, Reflectance};
 use crate::fit::report::StageReport;
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, ROUGHNESS_PLANE};
 use crate::progress::{Control, Stage};
 use crate::render::{Target, photo_loss};
+use crate::shot::Shot;
 
 pub(crate) use folds::{FoldRelief, Folds, fit_folds};
 use groups::{Membership, colour_groups};
@@ -76,8 +78,8 @@ const START_LEAST: f32 = 0.005;
 #[derive(Clone, Debug)]
 pub(crate) struct DirectFit {
     pub maps: Maps<f32>,
-    /// Factors on the stated light of the photos.
-    pub gains: Vec<f64>,
+    /// How the photos are taken to have been shot.
+    pub shots: Vec<Shot>,
 }
 
 /// The slopes that a surface has beside leaning as a whole, two planes.
@@ -114,7 +116,11 @@ pub(crate) fn fit_direct(
     };
     let mut problem = Problem::new(capture, super::targets(capture)?, relief.map(<[f32]>::to_vec), options)?;
     let (direct, descent) = problem.fit_in_rounds(capture, options, control)?;
-    tracing::debug!("light of the photos: {:.3?}", direct.gains);
+    let gain = |(shot, photo): (&Shot, &Photo)| light::gain(shot, &photo.shot);
+    tracing::debug!(
+        "light of the photos: {:.3?}",
+        direct.shots.iter().zip(capture.photos()).map(gain).collect::<Vec<_>>()
+    );
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
     Ok((direct, relief.is_some()))
 }
@@ -283,15 +289,11 @@ impl Problem {
         let steps = options.steps(Stage::Direct);
         let rounds = (steps / ROUND_STEPS).clamp(1, ROUNDS);
         let begins = |round: usize| round * steps / rounds;
-        let mut gains = vec![1.0; capture.len()];
+        let mut shots = light::stated(capture);
         let (mut maps, mut total) = self.fit(begins(1), [0, steps - begins(1)], control)?;
         for round in 1..rounds {
-            if options.refine != Refine::None {
-                gains = light::gains(capture, &maps)?;
-                for (target, shot) in self.targets.iter_mut().zip(light::shots(capture, &gains)) {
-                    target.set_shot(shot);
-                }
-            }
+            shots = light::refined(capture, &maps, options.refine)?;
+            self.targets.iter_mut().zip(&shots).for_each(|(target, shot)| target.set_shot(*shot));
             self.regroup(&maps, options.seed);
             let (begin, end) = (begins(round), begins(round + 1));
             let (next, descent) = self.fit(end - begin, [begin, steps - end], control)?;
@@ -300,7 +302,7 @@ impl Problem {
             total.best_loss = descent.best_loss;
             total.rollbacks += descent.rollbacks;
         }
-        Ok((DirectFit { maps, gains }, total))
+        Ok((DirectFit { maps, shots }, total))
     }
 
     /// The maps after `steps` steps; `around` as in [`Settings`].

@@ -111,9 +111,9 @@ impl<'a> Problem<'a> {
         Ok(Self { capture, views, network, deviation, reflectance, roughness_floor })
     }
 
-    /// The photos as they were taken, under these factors on their light.
-    pub fn shots(&self, gains: Option<&[f64]>) -> Vec<Shot> {
-        light::shots(self.capture, gains.unwrap_or(&vec![1.0; self.capture.len()]))
+    /// How the photos were shot as the capture states it.
+    pub fn shots(&self) -> Vec<Shot> {
+        light::stated(self.capture)
     }
 
     fn pixels(&self) -> usize {

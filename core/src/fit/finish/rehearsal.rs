@@ -33,13 +33,13 @@ pub(crate) struct Fold {
 
 impl Rehearsal {
     /// The maps that `direct` finds where a photo is left out.
-    pub fn of_direct(capture: &Capture, folds: Folds, floor: f32) -> Self {
+    pub fn of_direct(folds: Folds, floor: f32) -> Self {
         let Folds { thinned, pixels, folds } = folds;
         let fold = |(without, direct): (usize, DirectFit)| {
             let mut raw = vec![0.0; RAW * pixels.len()];
             let (round, anisotropy) = anisotropy::split(&direct.maps);
             encode(&round, floor, &mut raw);
-            Fold { without, raw, anisotropy, shots: light::shots(capture, &direct.gains) }
+            Fold { without, raw, anisotropy, shots: direct.shots }
         };
         let folds = folds.into_iter().map(fold).collect();
         Self { size: [thinned.width(), thinned.height()], pixels, folds }
@@ -49,7 +49,7 @@ impl Rehearsal {
     pub fn of_prediction(capture: &Capture, prediction: &[f32]) -> Self {
         let (size, pixels) = grid(capture.width(), capture.height(), REHEARSAL_SIDE);
         let raw = thinned_planes(prediction, RAW, &pixels);
-        let shots: Vec<Shot> = capture.photos().iter().map(|photo| photo.shot).collect();
+        let shots = light::stated(capture);
         let fold = |without| Fold { without, raw: raw.clone(), anisotropy: Vec::new(), shots: shots.clone() };
         Self { size, folds: left_out(capture.len(), LEFT_OUT).map(fold).collect(), pixels }
     }
