@@ -14,7 +14,7 @@ mod ops;
 mod params;
 mod photo_graph;
 mod scalar;
-mod tape;
+pub(crate) mod tape;
 mod weights;
 
 pub use adapters::Adapters;

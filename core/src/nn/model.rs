@@ -11,7 +11,7 @@ use super::layout::Layout;
 use super::network::{Decoder, Encoded, Encoder, Trace};
 use super::params::AdapterParams;
 use super::photo_graph::{PhotoGraph, PhotoGraphConfig};
-use super::tape::{Param, Planes, Pool};
+use super::tape::{Image, Loss, Param, Planes, Pool, Recording, unpacked};
 use super::weights::{self, CHECKSUMS, Reader, broken};
 use crate::error::{Error, Result};
 use crate::io::file;
@@ -428,6 +428,20 @@ impl DecoderTrace {
         let latent = self.trace.pull_back(gradient, control)?;
         Ok(self.layout.unpack(&latent, self.layout.height, self.layout.width))
     }
+
+    /// What `loss` computes on dfdx's tape from the material feature, and its gradient with respect to the latent code, plane after plane.
+    ///
+    /// # Errors
+    /// As `loss`; [`Error::Cancelled`].
+    pub(crate) fn descend(
+        self,
+        loss: impl FnOnce(Image<f32, Recording<f32>>) -> Result<Loss<f32>>,
+        control: &mut Control<'_>,
+    ) -> Result<(f64, Vec<f32>)> {
+        let Self { trace, layout, height, width } = self;
+        let (value, latent) = trace.descend(|feature| loss(unpacked(feature, height, width)?), control)?;
+        Ok((value.into(), layout.unpack(&latent, layout.height, layout.width)))
+    }
 }
 
 fn expect_len(name: &str, got: usize, expected: usize) -> Result<()> {
@@ -499,12 +513,12 @@ impl Network {
             config.decoder_blocks.iter().rev().enumerate().map(|(level, &blocks)| at(level, blocks)).sum::<u64>()
                 + at(config.levels(), config.middle_blocks);
         let skips = 2 * planes;
-        // Adapters: input, states of the block and their gradients, raw planes and maps.
+        // Adapters: input, states of the block and their gradients, raw planes and maps; on the tape input, raw planes and maps with theirs.
         let feature = 4 * config.feature_channels() as u64 * pixels;
         STORED_PER_BLOCK * decoder
             + skips
             + WORKING_PLANES * planes
-            + feature * (2 + 6 * config.adapters().len() as u64)
+            + feature * (10 + 6 * config.adapters().len() as u64)
     }
 
     /// The adapters in the order of their outputs: diffuse, normal, roughness, specular, and tangent if anisotropic.

@@ -8,7 +8,7 @@ use super::config::{Gcn, NetworkConfig};
 use super::nafnet::{Block, Layer, block};
 use super::ops::{Graph, conv3x3, graph_convolution, pixel_shuffle, pixel_unshuffle, pointwise};
 use super::scalar::Scalar;
-use super::tape::{End, Param, Planes, Slot};
+use super::tape::{End, Loss, Param, Planes, Pullback, Recording, Slot};
 use crate::error::Result;
 use crate::progress::Control;
 
@@ -173,13 +173,12 @@ impl<E: Scalar> Decoder<E> {
 
     /// The material feature, and what is needed to take a gradient back to the latent code.
     pub fn run_traced(&self, latent: Planes<E>, skips: &[Planes<E>], control: &mut Control<'_>) -> Result<Trace<E>> {
-        let mut trace = Trace { feature: latent, parts: Vec::new() };
+        let mut trace = Trace { input: latent.slot(), feature: latent.traced(), parts: Vec::new() };
         for part in self.parts() {
             control.poll()?;
-            let traced = part.run(trace.feature.traced(), skips)?;
-            let (output, end) = traced.cut();
-            let input = std::mem::replace(&mut trace.feature, output).slot();
-            trace.parts.push(Taped { input, end });
+            let (input, end) = trace.feature.cut();
+            trace.parts.push(Taped { input: std::mem::replace(&mut trace.input, input.slot()), end });
+            trace.feature = part.run(input.traced(), skips)?;
         }
         Ok(trace)
     }
@@ -188,8 +187,11 @@ impl<E: Scalar> Decoder<E> {
 /// A run of the decoder whose gradient can be taken: one tape for each part, so that the way back can be stopped between parts and
 /// memory is freed as it goes.
 pub(crate) struct Trace<E: Scalar> {
-    /// The material feature.
-    pub feature: Planes<E>,
+    /// The material feature, on the tape of the last part.
+    pub feature: Planes<E, Recording<E>>,
+    /// The input of the last part.
+    input: Slot<E>,
+    /// The parts before it.
     parts: Vec<Taped<E>>,
 }
 
@@ -201,14 +203,34 @@ struct Taped<E: Scalar> {
 
 impl<E: Scalar> Trace<E> {
     /// The gradient with respect to the latent code, given that with respect to the material feature.
-    pub fn pull_back(self, mut gradient: Vec<E>, control: &mut Control<'_>) -> Result<Vec<E>> {
-        drop(self.feature);
-        for Taped { input, end } in self.parts.into_iter().rev() {
-            control.poll()?;
-            gradient = end.pull_back(gradient)?.of(&input)?;
-        }
-        Ok(gradient)
+    pub fn pull_back(self, gradient: Vec<E>, control: &mut Control<'_>) -> Result<Vec<E>> {
+        let Self { feature, input, parts } = self;
+        let (_, end) = feature.cut();
+        through(parts, end.pull_back(gradient)?.of(&input)?, control)
     }
+
+    /// What `loss` computes from the material feature on the tape of the decoder's last part, and its gradient with respect to the latent code.
+    pub fn descend(
+        self,
+        loss: impl FnOnce(Planes<E, Recording<E>>) -> Result<Loss<E>>,
+        control: &mut Control<'_>,
+    ) -> Result<(E, Vec<E>)> {
+        let Self { feature, input, parts } = self;
+        let loss = loss(feature)?;
+        control.poll()?;
+        let value = loss.as_vec()[0];
+        let gradient = Pullback::from(loss)?.of(&input)?;
+        Ok((value, through(parts, gradient, control)?))
+    }
+}
+
+/// Takes `gradient` back through `parts`, the last one first.
+fn through<E: Scalar>(parts: Vec<Taped<E>>, mut gradient: Vec<E>, control: &mut Control<'_>) -> Result<Vec<E>> {
+    for Taped { input, end } in parts.into_iter().rev() {
+        control.poll()?;
+        gradient = end.pull_back(gradient)?.of(&input)?;
+    }
+    Ok(gradient)
 }
 
 #[cfg(test)]

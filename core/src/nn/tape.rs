@@ -284,6 +284,48 @@ pub(crate) fn record<E: Scalar, T: Tape<E, Cpu>>(
     Ok(planes.put(tape))
 }
 
+/// An image as an ordinary tensor of dfdx: (1, planes, rows, columns).
+pub(crate) type Image<E, T = NoneTape> = Tensor<(usize, usize, usize, usize), E, Cpu, T>;
+
+/// A loss on the tape that it was computed on.
+pub(crate) type Loss<E, T = OwnedTape<E, Cpu>> = Tensor<Rank0, E, Cpu, T>;
+
+/// A tape that records.
+pub(crate) type Recording<E> = OwnedTape<E, Cpu>;
+
+/// `values`, planes after one another of this size, that an operation has computed; and on `tape` what `backward` does with the gradient with respect to them.
+pub(crate) fn image<E: Scalar, T: Tape<E, Cpu>>(
+    values: Vec<E>,
+    [planes, height, width]: [usize; 3],
+    mut tape: T,
+    backward: impl FnOnce(&[E], &mut Grads<E>) -> Returned + 'static,
+) -> Result<Image<E, T>> {
+    let image = Cpu::default().try_tensor_from_vec(values, (1, planes, height, width)).map_err(tape_error)?;
+    if T::OWNS_TAPE {
+        let ghost = image.ghost();
+        tape.add_backward_op(move |grads| {
+            let gradient = std::mem::take::<Vec<E>>(grads.get_or_alloc_mut(&ghost)?);
+            backward(&gradient, grads)
+        });
+    }
+    Ok(image.put_tape(tape))
+}
+
+/// The upper left `height` x `width` pixels of `planes`, on their tape.
+pub(crate) fn unpacked<E: Scalar, T: Tape<E, Cpu>>(
+    planes: Planes<E, T>,
+    height: usize,
+    width: usize,
+) -> Result<Image<E, T>> {
+    let (planes, tape) = planes.split();
+    let layout = planes.layout;
+    let values = layout.unpack(planes.values(), height, width);
+    let (slot, pool) = (planes.slot(), planes.pool().clone());
+    image(values, [layout.channels, height, width], tape, move |gradient, grads| {
+        slot.add(grads, || pool.adopt(layout.pack(gradient, height, width)))
+    })
+}
+
 /// The end of a tape.
 pub(crate) struct End<E: Scalar> {
     key: Key<E>,
@@ -321,6 +363,11 @@ impl<E: Scalar> End<E> {
 }
 
 impl<E: Scalar> Pullback<E> {
+    /// Runs the tape of `loss` backwards.
+    pub fn from(loss: Loss<E>) -> Result<Self> {
+        Ok(Self(loss.try_backward().map_err(tape_error)?))
+    }
+
     /// Takes the gradient with respect to what `slot` stands for out; empty if it has no influence.
     pub fn of(&mut self, slot: &Slot<E>) -> Result<Vec<E>> {
         Ok(std::mem::take(&mut **self.0.get_or_alloc_mut(&slot.key).map_err(tape_error)?))

@@ -3,19 +3,26 @@
 //! The paper (Section 3.3, Eq. 7) optimises the adapters alone once the latent code is found. The decoder before them is then a constant,
 //! so the material feature is computed once and a step costs the adapters, the renderer and nothing else.
 
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use dfdx::prelude::{Cpu, Tape};
+
+use super::tape;
 use crate::error::{Error, Result};
 use crate::fit::optim::descent::{Descent, EarlyStop, Settings, descend};
 use crate::maps::Maps;
+use crate::nn::tape::{Image, Loss};
 use crate::nn::{AdapterParams, Adapters, Decoding};
 use crate::progress::{Control, Stage};
-use crate::render::{Target, photo_loss};
+use crate::render::{Target, photo_loss, photo_loss_on_tape};
 
 /// Learning rate for several photos, and for one (released optimisation).
 const RATES: [f64; 2] = [1e-3, 1e-4];
 
 /// From a material feature through adapters, decoding and renderer to the loss against photos, and back.
 pub struct Readout<'a> {
-    adapters: Adapters,
+    /// Shared with the tape that a pass was recorded on.
+    adapters: Arc<Mutex<Adapters>>,
     decoding: Decoding,
     patch_size: f64,
     targets: &'a [Target],
@@ -56,6 +63,7 @@ impl<'a> Readout<'a> {
         let adapters = Adapters::new(feature, channels, outputs, width, height)?;
         let maps = Maps::new(lobe, width, height, vec![0.0; lobe.planes() * height * width])?;
         let raw = vec![0.0; adapters.raw_len()];
+        let adapters = Arc::new(Mutex::new(adapters));
         Ok(Self { adapters, decoding, patch_size, targets, d_raw: raw.clone(), raw, d_maps: maps.clone(), maps })
     }
 
@@ -64,7 +72,21 @@ impl<'a> Readout<'a> {
     /// # Errors
     /// As [`Adapters::set_feature`].
     pub fn set_feature(&mut self, feature: &[f32]) -> Result<()> {
-        self.adapters.set_feature(feature)
+        lock(&self.adapters).set_feature(feature)
+    }
+
+    /// [`Readout::loss`] of `feature`, a tensor (1, channels, height, width), on its tape.
+    ///
+    /// # Errors
+    /// As [`Readout::set_feature`] and [`Readout::loss`].
+    pub(crate) fn loss_on_tape<T: Tape<f32, Cpu>>(
+        &self,
+        params: &[f32],
+        feature: Image<f32, T>,
+    ) -> Result<Loss<f32, T>> {
+        let raw = tape::adapters(&self.adapters, params, feature)?;
+        let maps = tape::decode(self.decoding, raw)?;
+        photo_loss_on_tape(maps, self.decoding.lobe(), self.patch_size, self.targets)
     }
 
     /// The [`photo_loss`] at the adapters' parameters `params` (of all adapters, one after the other) and, where asked for, its gradient
@@ -79,7 +101,7 @@ impl<'a> Readout<'a> {
         d_feature: Option<&mut [f32]>,
         control: &mut Control<'_>,
     ) -> Result<f64> {
-        self.adapters.forward(params, &mut self.raw)?;
+        lock(&self.adapters).forward(params, &mut self.raw)?;
         control.poll()?;
         self.decoding.decode(&self.raw, &mut self.maps)?;
         if d_params.is_none() && d_feature.is_none() {
@@ -88,7 +110,7 @@ impl<'a> Readout<'a> {
         let loss = photo_loss(&self.maps, self.patch_size, self.targets, Some(&mut self.d_maps))?;
         control.poll()?;
         self.decoding.backward(&self.raw, &self.d_maps, &mut self.d_raw)?;
-        self.adapters.backward(&self.d_raw, d_params, d_feature)?;
+        lock(&self.adapters).backward(&self.d_raw, d_params, d_feature)?;
         Ok(loss)
     }
 
@@ -106,6 +128,10 @@ impl<'a> Readout<'a> {
     pub(crate) fn into_maps(self) -> Maps<f32> {
         self.maps
     }
+}
+
+fn lock(adapters: &Mutex<Adapters>) -> MutexGuard<'_, Adapters> {
+    adapters.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Optimises `adapters`, the network's in the order of their outputs, so that the rendering of the maps that `readout` has from its
@@ -148,6 +174,8 @@ pub fn fit_adapters(
 #[cfg(test)]
 mod tests {
     use std::ops::ControlFlow;
+
+    use dfdx::prelude::*;
 
     use super::{Readout, fit_adapters};
     use crate::maps::{Lobe, Maps};
@@ -248,6 +276,24 @@ mod tests {
             };
             let difference = (at(1e-3) - at(-1e-3)) / 2e-3;
             assert!((difference / slope(&d_feature) - 1.0).abs() < 5e-3, "{difference} {}", slope(&d_feature));
+        }
+    }
+
+    #[test]
+    fn the_tape_gives_what_the_loop_gives() {
+        for lobe in [Lobe::Isotropic, Lobe::Anisotropic] {
+            let (m, outputs) = outputs(lobe);
+            let (targets, decoding, feature) = (targets(lobe), Decoding::new(lobe), feature(lobe));
+            let mut readout = Readout::new(&feature, m, &outputs, decoding, 2.0, &targets).unwrap();
+            let mut callback = go_on;
+            let mut control = Control::new(&mut callback, CancelToken::new());
+            let params: Vec<f32> = adapters(lobe).iter().flat_map(|adapter| adapter.values.clone()).collect();
+            let mut expected = vec![0.0; feature.len()];
+            let loss = readout.loss(&params, None, Some(&mut expected), &mut control).unwrap();
+            let tensor = Cpu::default().tensor_from_vec(feature, (1, m, HEIGHT, WIDTH));
+            let taped = readout.loss_on_tape(&params, tensor.leaky_trace()).unwrap();
+            assert_eq!(taped.array(), loss as f32);
+            assert_eq!(taped.backward().get(&tensor).as_vec(), expected);
         }
     }
 

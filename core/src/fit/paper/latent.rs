@@ -1,4 +1,4 @@
-//! First stage of the network fit: Adam on the latent code (paper, Section 3.3, Eq. 6).
+//! First stage of the network fit: Adam on the latent code (paper, Section 3.3, Eq. 6), by gradients from dfdx's tape: decoder, adapters, maps and loss.
 
 use crate::error::Result;
 use crate::fit::optim::descent::{Descent, EarlyStop, Settings, descend};
@@ -25,7 +25,6 @@ pub fn fit_latent(
     control: &mut Control<'_>,
 ) -> Result<Descent> {
     let params: Vec<f32> = adapters.iter().flat_map(|adapter| &adapter.values).copied().collect();
-    let mut d_feature = vec![0.0; network.config().feature_channels() * code.height() * code.width()];
     let settings = Settings {
         stage: Stage::Latent,
         steps,
@@ -37,10 +36,9 @@ pub fn fit_latent(
     let mut latent = std::mem::take(&mut code.latent);
     let result = descend(&mut latent, &settings, control, |latent, gradient, control| match gradient {
         Some(gradient) => {
-            let (feature, trace) = network.decode_traced(latent, code, control)?;
-            readout.set_feature(&feature)?;
-            let loss = readout.loss(&params, None, Some(&mut d_feature), control)?;
-            gradient.copy_from_slice(&trace.pull_back(&d_feature, control)?);
+            let (_, trace) = network.decode_traced(latent, code, control)?;
+            let (loss, slope) = trace.descend(|feature| readout.loss_on_tape(&params, feature), control)?;
+            gradient.copy_from_slice(&slope);
             Ok(loss)
         }
         None => {

@@ -2,6 +2,7 @@
 
 pub mod adapters;
 pub mod latent;
+mod tape;
 
 use std::time::Instant;
 
