@@ -166,7 +166,9 @@ def test_corners_tell_where_photos_without_a_sheet_were_taken(tmp_path, page):
     ]:
         assert said in command("acquire", *photos[:2], "-o", tmp_path / "no", "--patch-width", 96, *arguments, code=2).stderr
     assert "1.jpg" in command("acquire", tmp_path / "1.jpg", "-o", tmp_path / "no", "--patch-width", 96, "--corners", tmp_path / "corners.json", code=2).stderr
-    assert "are for photos" in command("fit", tmp_path / "flags", "-o", tmp_path / "no", "--patch-width", 96, "--corners", numbers[0], code=2).stderr
+    assert "is for photos" in command("fit", tmp_path / "flags", "-o", tmp_path / "no", "--patch-width", 96, "--corners", numbers[0], code=2).stderr
+    for option, value in (("--depth", "1mm"), ("--window", "80mm"), ("--light-offset", "auto"), ("--paper-white", "0.9"), ("--dark", photos[0])):
+        assert f"{option[2:]}: is for photos" in command("fit", tmp_path / "flags", "-o", tmp_path / "no", option, value, code=2).stderr
 
 
 def test_path_traced_photos_of_a_telephone():

@@ -16,6 +16,11 @@ use crate::error::{Error, Result, printable};
 use crate::io::read_file;
 use crate::shot::Shot;
 
+/// The window and the bar of the sheet where nothing else is said, in mm.
+const SHEET_LENGTH: f64 = 100.0;
+/// Diffuse albedo of paper where nothing else is said.
+const PAPER_WHITE: f64 = 0.8;
+
 /// How raw photos are read; the same wherever they are.
 #[derive(Args)]
 pub struct SheetOptions {
@@ -49,7 +54,7 @@ pub struct SheetOptions {
     #[arg(long, value_name = "PHOTO")]
     dark: Option<PathBuf>,
     /// Diffuse albedo of the paper.
-    #[arg(long, default_value_t = 0.8, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = PAPER_WHITE, allow_negative_numbers = true)]
     paper_white: f64,
 }
 
@@ -125,6 +130,22 @@ impl SheetOptions {
     /// Whether the patch's corners are given in place of a sheet.
     pub fn has_corners(&self) -> bool {
         !self.corners.is_empty()
+    }
+
+    /// An option that is not at its default.
+    pub fn given(&self) -> Option<&'static str> {
+        let options = [
+            ("sheet", self.sheet != SheetArg::Own),
+            ("window", self.window.0 != SHEET_LENGTH),
+            ("frame-width", self.frame_width.is_some()),
+            ("printed-bar", self.printed_bar.0 != SHEET_LENGTH),
+            ("depth", self.depth.0 != 0.0),
+            ("corners", self.has_corners()),
+            ("light-offset", self.light_offset.0 != Some([0.0; 2])),
+            ("dark", self.dark.is_some()),
+            ("paper-white", self.paper_white != PAPER_WHITE),
+        ];
+        options.into_iter().find_map(|(name, given)| given.then_some(name))
     }
 
     pub fn options(

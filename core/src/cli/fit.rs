@@ -177,9 +177,10 @@ impl FitArgs {
 pub fn run(args: &FitArgs, cancel: &CancelToken) -> Result<()> {
     check_folder(&args.out)?;
     let raw = args.capture.photos(args.sheet.has_corners());
-    if raw.is_none() && args.sheet.has_corners() {
-        let got = format!("are for photos: expected image files beside them, got {}", args.capture.path()?.display());
-        return Err(Error::invalid("corners", got));
+    if let (None, Some(option)) = (&raw, args.sheet.given()) {
+        let got = args.capture.path()?.display();
+        let got = format!("is for photos of a sheet: expected two image files or more (acquire takes one), got {got}");
+        return Err(Error::invalid(option, got));
     }
     let photos = match &raw {
         Some(photos) => photos.clone(),
