@@ -1,10 +1,10 @@
-"""Makes the sample captures: photos of two procedural materials, path-traced by Blender's Cycles, and their true maps.
+"""Makes the sample captures: photos of three procedural materials, path-traced by Blender's Cycles, and their true maps.
 
     python3.11 -m venv .venv && .venv/bin/pip install bpy==5.0.1 numpy
     .venv/bin/python python/tools/make_sample.py samples
 
-writes `samples/tiles` (nine 256 x 256 photos of glazed tiles) and `samples/lambert` (five 64 x 64 photos of a matt surface of
-known albedo), each with `capture.json` and, in `truth/`, the maps that were rendered. Needs bpy 5.0.1, which is for Python 3.11, and no GPU.
+writes `samples/tiles` (nine 256 x 256 photos of glazed tiles), `samples/brushed` (nine 128 x 128 photos of brushed steel) and `samples/lambert`
+(five 64 x 64 photos of a matt surface of known albedo), each with `capture.json` and, in `truth/`, the maps that were rendered. Needs bpy 5.0.1, which is for Python 3.11, and no GPU.
 The same versions give the same files; every seed and sample count is written below.
 
 The scene's unit is the centimetre. Each photo is a perspective picture by a hand-held camera with a point light beside the lens; like a
@@ -30,6 +30,8 @@ from sample_material import PATCH_SIZE
 
 # Light: a white diffuse patch facing it at 15 cm has a radiance of about 0.9.
 LIGHT_INTENSITY = (640.0, 620.0, 590.0)
+# Brushed steel under it would be white where it shines.
+DIM_LIGHT_INTENSITY = (160.0, 155.0, 147.5)
 LIGHT_RADIUS = 0.05
 # Cycles: samples per pixel of the perspective photo; a rectified pixel collects those of some fifty pixels.
 SAMPLES = 4
@@ -79,19 +81,24 @@ LAMBERT_POSES = [
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path, help="folder that receives tiles/ and lambert/")
-    folder = parser.parse_args().folder
-    started = time.perf_counter()
-    make_capture(folder / "tiles", sample_material.tiles(256), TILE_POSES, "srgb", np.uint8, frame=2048)
-    make_capture(folder / "lambert", sample_material.lambertian(64), LAMBERT_POSES, "linear", np.uint16, frame=512)
+    parser.add_argument("folder", type=Path, help="folder that receives tiles/, brushed/ and lambert/")
+    parser.add_argument("--only", nargs="*", choices=("tiles", "brushed", "lambert"), default=("tiles", "brushed", "lambert"))
+    options = parser.parse_args()
+    folder, started = options.folder, time.perf_counter()
+    if "tiles" in options.only:
+        make_capture(folder / "tiles", sample_material.tiles(256), TILE_POSES, LIGHT_INTENSITY, "srgb", np.uint8, frame=2048)
+    if "brushed" in options.only:
+        make_capture(folder / "brushed", sample_material.brushed(128), TILE_POSES, DIM_LIGHT_INTENSITY, "srgb", np.uint8, frame=1024)
+    if "lambert" in options.only:
+        make_capture(folder / "lambert", sample_material.lambertian(64), LAMBERT_POSES, LIGHT_INTENSITY, "linear", np.uint16, frame=512)
     print(f"done in {time.perf_counter() - started:.0f} s")
 
 
-def make_capture(folder, maps, poses, transfer, dtype, frame):
+def make_capture(folder, maps, poses, light_intensity, transfer, dtype, frame):
     """Render, rectify and write one capture with its true maps; `frame` is the side of the perspective photos in pixels."""
     (folder / "truth").mkdir(parents=True, exist_ok=True)
     write_truth(folder / "truth", maps)
-    build_scene(maps, frame)
+    build_scene(maps, light_intensity, frame)
     size = maps.normal.shape[0]
     photos = []
     for index, pose in enumerate(poses):
@@ -110,7 +117,7 @@ def make_capture(folder, maps, poses, transfer, dtype, frame):
         "unit": "cm",
         "patch_size": PATCH_SIZE,
         "transfer": transfer,
-        "light_intensity": list(LIGHT_INTENSITY),
+        "light_intensity": list(light_intensity),
         "white_level": None,
         "notes": f"Path-traced with Blender {bpy.app.version_string}, Cycles, by python/tools/make_sample.py; the true maps are in truth/.",
     }
@@ -137,9 +144,14 @@ def write_truth(folder, maps):
         "roughness": maps.roughness,
         "normal": (maps.normal + 1) / 2,
     }
+    if maps.tangent is not None:
+        # Files have one channel or three.
+        files["roughness"] = np.concatenate([maps.roughness, 0 * maps.roughness[..., :1]], -1)
+        files["tangent"] = (maps.tangent + 1) / 2
+    lobe = "isotropic" if maps.tangent is None else "anisotropic"
     for name, values in files.items():
         png.write(folder / f"{name}.png", quantised(values, np.uint16))
-    material = {"format": "svbrdf-gcn material", "version": 1, "patch_size": PATCH_SIZE, "unit": "cm", "lobe": "isotropic"}
+    material = {"format": "svbrdf-gcn material", "version": 1, "patch_size": PATCH_SIZE, "unit": "cm", "lobe": lobe}
     write_json(folder / "material.json", material, "maps", {name: {"file": f"{name}.png", "transfer": "linear"} for name in files})
 
 
@@ -175,9 +187,9 @@ def direct_light_scene(samples, light_intensity, light_radius):
     return scene
 
 
-def build_scene(maps, frame):
+def build_scene(maps, light_intensity, frame):
     """A plane with the material under a camera and a light."""
-    scene = direct_light_scene(SAMPLES, LIGHT_INTENSITY, LIGHT_RADIUS)
+    scene = direct_light_scene(SAMPLES, light_intensity, LIGHT_RADIUS)
     scene.render.resolution_x = scene.render.resolution_y = frame
     # The plane reaches beyond the patch, where the pattern repeats, so that photos show no edge.
     reach = 1.5 * PATCH_SIZE
@@ -209,7 +221,15 @@ def principled_material(maps):
 
     links.new(texture("base color", maps.base_color), principled.inputs["Base Color"])
     links.new(texture("metallic", maps.metallic), principled.inputs["Metallic"])
-    links.new(texture("roughness", maps.roughness), principled.inputs["Roughness"])
+    if maps.tangent is None:
+        roughness = maps.roughness
+    else:
+        # Cycles: alpha is roughness^2 / aspect along its tangent and roughness^2 aspect across, aspect^2 = 1 - 0.9 anisotropic. It is wide along its tangent, so that is our bitangent.
+        along, across = maps.roughness[..., :1], maps.roughness[..., 1:]
+        roughness = np.sqrt(along * across)
+        links.new(texture("anisotropic", (1 - (along / across) ** 2) / 0.9), principled.inputs["Anisotropic"])
+        links.new(texture("tangent", np.cross(maps.normal, maps.tangent)), principled.inputs["Tangent"])
+    links.new(texture("roughness", roughness), principled.inputs["Roughness"])
     # An index of 1.5 reflects 0.04 at level 0.5; the level scales it linearly.
     links.new(texture("specular level", maps.dielectric_f0 / 0.08), principled.inputs["Specular IOR Level"])
     normal_map = nodes.new("ShaderNodeNormalMap")

@@ -32,9 +32,11 @@ def load(folder):
     folder = Path(folder)
     capture = json.loads((folder / "capture.json").read_text())
     stored = [png.read(folder / photo["file"]) for photo in capture["photos"]]
-    truth = {name: unit_range(png.read(folder / "truth" / f"{name}.png")) for name in ("diffuse", "specular", "roughness", "normal")}
-    normal = 2 * truth["normal"] - 1
-    truth["normal"] = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    maps = json.loads((folder / "truth" / "material.json").read_text())["maps"]
+    truth = {name: unit_range(png.read(folder / "truth" / one["file"])) for name, one in maps.items()}
+    for name in {"normal", "tangent"} & truth.keys():
+        vectors = 2 * truth[name] - 1
+        truth[name] = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
     return Sample(
         capture=capture,
         photos=[decode(unit_range(photo), capture["transfer"]) for photo in stored],
@@ -55,7 +57,7 @@ def decode(stored, transfer):
 
 
 def shade(truth, camera, light, light_intensity, patch_size):
-    """Radiance of every pixel, (H, W, 3): Lambert and isotropic GGX lobe, with the project's masking and Fresnel forms."""
+    """Radiance of every pixel, (H, W, 3): Lambert and GGX lobe, round or stretched, with the project's masking and Fresnel forms."""
     normal, roughness, specular = truth["normal"], truth["roughness"], truth["specular"]
     height, width, _ = normal.shape
     x = ((np.arange(width) + 0.5) / width - 0.5) * patch_size
@@ -73,10 +75,22 @@ def shade(truth, camera, light, light_intensity, patch_size):
     half_vector = unit(view_dir + light_dir)
     n_dot_l, n_dot_v, v_dot_h = dot(normal, light_dir), dot(normal, view_dir), dot(view_dir, half_vector)
     alpha = np.maximum(roughness, 1e-3) ** 2
-    across = np.cross(normal, half_vector)
-    ndf = alpha**2 / (np.pi * (dot(across, across) + dot(normal, half_vector) ** 2 * alpha**2) ** 2)
-    k = alpha / 2
-    visibility = 1 / (4 * (n_dot_l * (1 - k) + k) * (n_dot_v * (1 - k) + k))
+    if "tangent" in truth:
+        along, wide = alpha[..., :1], alpha[..., 1:2]
+        tangent = unit(truth["tangent"] - normal * dot(normal, truth["tangent"]))
+        bitangent = np.cross(normal, tangent)
+
+        def stretched(vectors):
+            return (along * dot(tangent, vectors)) ** 2 + (wide * dot(bitangent, vectors)) ** 2
+
+        lean = (dot(tangent, half_vector) / along) ** 2 + (dot(bitangent, half_vector) / wide) ** 2
+        ndf = 1 / (np.pi * along * wide * (lean + dot(normal, half_vector) ** 2) ** 2)
+        visibility = 1 / ((n_dot_l + np.sqrt(stretched(light_dir) + n_dot_l**2)) * (n_dot_v + np.sqrt(stretched(view_dir) + n_dot_v**2)))
+    else:
+        across = np.cross(normal, half_vector)
+        ndf = alpha**2 / (np.pi * (dot(across, across) + dot(normal, half_vector) ** 2 * alpha**2) ** 2)
+        k = alpha / 2
+        visibility = 1 / (4 * (n_dot_l * (1 - k) + k) * (n_dot_v * (1 - k) + k))
     fresnel = specular + (1 - specular) * 2 ** ((-5.55473 * v_dot_h - 6.98316) * v_dot_h)
     brdf = truth["diffuse"] * (1 - specular) / np.pi + ndf * visibility * fresnel
     lit = (n_dot_l > 0) & (n_dot_v > 0)

@@ -1,4 +1,4 @@
-"""The material of the sample capture: glazed tiles with a brass inlay, as maps computed in numpy.
+"""The materials of the sample captures, as maps computed in numpy: glazed tiles with a brass inlay, brushed steel, a matt surface.
 
 Four tiles in the cuerda seca technique on a 10 cm patch that repeats seamlessly: pools of coloured glaze between dry dark lines, an
 eight-pointed star around a turned brass stud, unglazed terracotta corners, rough recessed grout. Every reflectance parameter varies
@@ -19,7 +19,8 @@ SEED = 20240607
 class Maps:
     """(H, W, C) float64 maps, row 0 at the top (+y), all linear; a metallic-roughness material.
 
-    `base_color` (3), `metallic` (1), `dielectric_f0` (1), `roughness` (1, perceptual), `normal` (3, unit, +x right, +y up, +z out).
+    `base_color` (3), `metallic` (1), `dielectric_f0` (1), `roughness` (1, perceptual; 2 where lobes are stretched: along the tangent and across),
+    `normal` (3, unit, +x right, +y up, +z out), `tangent` (3, unit, at right angles to the normal; None where lobes are round).
     """
 
     base_color: np.ndarray
@@ -27,6 +28,7 @@ class Maps:
     dielectric_f0: np.ndarray
     roughness: np.ndarray
     normal: np.ndarray
+    tangent: np.ndarray | None = None
 
     @property
     def diffuse_albedo(self):
@@ -102,6 +104,34 @@ def tiles(size):
         roughness=averaged(roughness),
         normal=normal / np.linalg.norm(normal, axis=-1, keepdims=True),
     )
+
+
+def brushed(size):
+    """Brushed steel on a gently buckled plate: the brushing turns by some twenty degrees over the patch."""
+    rng = np.random.default_rng(SEED + 1)
+    across = 2 * np.pi * (np.arange(size) + 0.5) / size
+    x, y = np.meshgrid(across, across[::-1])
+    ones = np.ones((size, size, 1))
+    angle = 0.45 + 0.18 * np.sin(x) + 0.12 * np.cos(y)
+    buckle, texel = 0.05 * noise(rng, size, 2.5), PATCH_SIZE / size
+    slope_x = (np.roll(buckle, -1, 1) - np.roll(buckle, 1, 1)) / (2 * texel)
+    slope_y = (np.roll(buckle, 1, 0) - np.roll(buckle, -1, 0)) / (2 * texel)
+    normal = unit(np.stack([-slope_x, -slope_y, np.ones_like(buckle)], -1))
+    along = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    wear = noise(rng, size, 0.25)[..., None]
+    return Maps(
+        base_color=np.array([0.62, 0.60, 0.57]) * (1 + 0.05 * wear),
+        metallic=ones,
+        dielectric_f0=0.04 * ones,
+        # Squared: alpha 0.06 along the brushing, 0.36 across.
+        roughness=np.sqrt([0.06, 0.36]) * (1 + 0.03 * noise(rng, size, 1.5)[..., None]),
+        normal=normal,
+        tangent=unit(along - normal * (along * normal).sum(-1, keepdims=True)),
+    )
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def lambertian(size):

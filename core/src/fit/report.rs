@@ -9,7 +9,6 @@ use crate::color::Transfer;
 use crate::error::Result;
 use crate::fit::choice::{Choice, Comparison};
 use crate::fit::conditions;
-use crate::fit::direct::light;
 use crate::fit::optim::descent::Descent;
 use crate::fit::options::FitOptions;
 use crate::fit::options::{Method, Preset, Refine, Reflectance};
@@ -20,7 +19,6 @@ use crate::material::Material;
 use crate::metrics::photo_rmse;
 use crate::progress::Stage;
 use crate::render::render;
-use crate::shot::Shot;
 
 /// What one stage did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -125,12 +123,7 @@ impl FitReport {
         started: Instant,
     ) -> Result<Self> {
         let Selection { contradicting, kept, route } = selection;
-        let State { maps, shots, weighting, expected, stages, .. } = state;
-        let refined = || kept.iter().map(|&photo| &capture.photos()[photo].shot).zip(shots.iter().flatten());
-        let gains: Option<Vec<f64>> =
-            shots.is_some().then(|| refined().map(|(stated, shot)| light::gain(shot, stated)).collect());
-        let offset = |(stated, shot): (&Shot, &Shot)| [0, 1, 2].map(|i| shot.camera[i] - stated.camera[i]);
-        let offsets: Option<Vec<[f64; 3]>> = (choice.refine == Refine::All).then(|| refined().map(offset).collect());
+        let State { maps, refined, weighting, expected, stages, .. } = state;
         let (mut photo_errors, mut shifts) = (Vec::new(), Vec::new());
         for photo in capture.photos() {
             let rendering = render(material, &photo.shot)?;
@@ -142,7 +135,7 @@ impl FitReport {
             contradicting,
             kept,
             expected,
-            gains: gains.as_deref(),
+            gains: refined.as_ref().map(|refined| &refined.gains[..]),
             photo_deviation: weighting.map(|weighting| weighting.photo),
             at_limit: conditions::at_limit(&maps),
             black_share: conditions::black_share(capture),
@@ -155,6 +148,7 @@ impl FitReport {
             warnings.push(format!("{name}: {count} steps led to values that are not finite and were undone"));
         }
         let name = |photo: &Photo| photo.name.clone();
+        let moved = refined.as_ref().filter(|_| choice.refine == Refine::All);
         let left_out = (0..capture.len()).filter(|photo| !kept.contains(photo));
         Ok(Self {
             method: route.method(),
@@ -170,8 +164,8 @@ impl FitReport {
             assumed: capture.assumed().copied(),
             stages,
             photo_errors,
-            position_offsets: offsets.map(|offsets| of_all(capture.len(), kept, offsets, [0.0; 3])),
-            light_gains: gains.map(|gains| of_all(capture.len(), kept, gains, 1.0)),
+            position_offsets: moved.map(|refined| of_all(capture.len(), kept, &refined.offsets, [0.0; 3])),
+            light_gains: refined.as_ref().map(|refined| of_all(capture.len(), kept, &refined.gains, 1.0)),
             photo_deviation: weighting.map(|weighting| weighting.photo),
             believed_shares: weighting.map(|weighting| [weighting.normal, weighting.specular]),
             tilt: material.tilt(),
@@ -184,8 +178,8 @@ impl FitReport {
 }
 
 /// One value for each of `count` photos: `values` for the `kept` ones, `other` for the rest.
-fn of_all<T: Copy>(count: usize, kept: &[usize], values: Vec<T>, other: T) -> Vec<T> {
+fn of_all<T: Copy>(count: usize, kept: &[usize], values: &[T], other: T) -> Vec<T> {
     let mut all = vec![other; count];
-    kept.iter().zip(values).for_each(|(&photo, value)| all[photo] = value);
+    kept.iter().zip(values).for_each(|(&photo, value)| all[photo] = *value);
     all
 }

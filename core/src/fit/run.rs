@@ -5,7 +5,7 @@ use std::sync::mpsc;
 
 use super::anisotropy;
 use super::choice::Choice;
-use super::direct::{DirectFit, FoldRelief, Relief, correct, fit_direct, fit_folds, relief, relief_of_raw};
+use super::direct::{DirectFit, FoldRelief, Relief, correct, fit_direct, fit_folds, light, relief, relief_of_raw};
 use super::encode::{Prediction, encode};
 use super::finish::{Finished, Fold, Judgement, Problem, Rehearsal, Start, Weighting};
 use super::optim::holdout::LEFT_OUT;
@@ -33,7 +33,7 @@ const PASS_STEPS: usize = 3;
 pub(crate) struct State {
     pub maps: Maps<f32>,
     /// How the photos are taken to have been shot, where that was corrected.
-    pub shots: Option<Vec<Shot>>,
+    pub refined: Option<Refined>,
     /// Where the finish ran.
     pub deviations: Option<Deviations>,
     pub weighting: Option<Weighting>,
@@ -42,9 +42,28 @@ pub(crate) struct State {
     pub stages: Vec<StageReport>,
 }
 
+/// How photos were shot in place of what their capture states.
+pub(crate) struct Refined {
+    pub shots: Vec<Shot>,
+    /// Factors on the stated light.
+    pub gains: Vec<f64>,
+    /// How far camera and light were moved.
+    pub offsets: Vec<[f64; 3]>,
+}
+
+impl Refined {
+    fn new(capture: &Capture, shots: Vec<Shot>) -> Self {
+        let stated = || capture.photos().iter().map(|photo| &photo.shot).zip(&shots);
+        let gains = stated().map(|(stated, shot)| light::gain(shot, stated)).collect();
+        let offset = |(stated, shot): (&Shot, &Shot)| std::array::from_fn(|i| shot.camera[i] - stated.camera[i]);
+        let offsets = stated().map(offset).collect();
+        Self { shots, gains, offsets }
+    }
+}
+
 impl State {
-    fn new(maps: Maps<f32>, shots: Option<Vec<Shot>>, stages: Vec<StageReport>) -> Self {
-        Self { maps, shots, deviations: None, weighting: None, expected: None, stages }
+    fn new(maps: Maps<f32>, refined: Option<Refined>, stages: Vec<StageReport>) -> Self {
+        Self { maps, refined, deviations: None, weighting: None, expected: None, stages }
     }
 }
 
@@ -145,8 +164,8 @@ fn share(
     control: &mut Control<'_>,
 ) -> Result<(State, bool)> {
     let (DirectFit { maps, shots }, takes_relief) = fit_direct(capture, relief, options, &mut stages, control)?;
-    let shots = (options.refine != Refine::None).then_some(shots);
-    Ok((State::new(maps, shots, stages), takes_relief))
+    let refined = (options.refine != Refine::None).then(|| Refined::new(capture, shots));
+    Ok((State::new(maps, refined, stages), takes_relief))
 }
 
 /// Stage finish: every pixel by itself, near the maps of `state`.
@@ -161,7 +180,7 @@ fn finish(
     let (round, anisotropy) = anisotropy::split(&state.maps);
     let mut shared = vec![0.0; RAW * round.width() * round.height()];
     raw::encode(&round, graph.config().roughness_floor, &mut shared);
-    let shots = state.shots.clone().unwrap_or_else(|| problem.shots());
+    let shots = state.refined.as_ref().map_or_else(|| problem.shots(), |refined| refined.shots.clone());
     let start = Start { raw: &shared, anisotropy: &anisotropy, shots: &shots };
     let steps = options.steps(Stage::Finish);
     let Finished { raw, deviation, expected } = problem.finish(start, judgement, steps, &mut state.stages, control)?;
