@@ -288,7 +288,7 @@ fn reflectance(report: &FitReport) -> String {
         0 => String::new(),
         _ => format!(" (photos left out are missed by: {})", errors.join(", ")),
     };
-    format!("reflectance: {}{decided}; light: {}", report.reflectance.name(), report.refine.name())
+    format!("reflectance: {}{decided}; refined: {}", report.reflectance.name(), report.refine.name())
 }
 
 /// The verdict, and why it is not better.

@@ -118,7 +118,7 @@ impl Choice {
                 "photos left out, as stated, light and positions refined: {stated:.4}, {refined:.4}, {placed:.4}"
             );
             let better = |one: f64, share: f64, other: f64| one.powi(2) < (1.0 - share) * other.powi(2);
-            // Light is seldom known exactly: as stated where that is clearly better. Positions often are, and can be wrong in many ways.
+            // Light is seldom known exactly: as stated only where that is clearly better. Positions mostly are: moved only where that is.
             refine = if better(stated, LIGHT_GAIN, refined.min(placed)) {
                 Refine::None
             } else if better(placed, PLACE_GAIN, refined) {

@@ -36,18 +36,18 @@ pub(super) fn refined(capture: &Capture, maps: &Maps<f32>, refine: Refine) -> Re
     Ok(shots.iter().zip(logs).map(|(shot, log)| lit(shot, believed(log - mean))).collect())
 }
 
-/// The shots as `capture` states them.
-pub(crate) fn stated(capture: &Capture) -> Vec<Shot> {
-    capture.photos().iter().map(|photo| photo.shot).collect()
-}
-
-/// Likewise for one photo that `maps` have not seen; theirs are near 1.
+/// A factor on the light of one photo that `maps` have not seen; theirs are near 1.
 pub(super) fn held_out_gain(capture: &Capture, photo: usize, maps: &Maps<f32>) -> Result<f64> {
     if capture.len() <= PHOTOS_MIN {
         return Ok(1.0);
     }
     let photo = &capture.photos()[photo];
     Ok(believed(log_gain(photo, &photo.shot, capture.patch_size(), maps)?))
+}
+
+/// The shots as `capture` states them.
+pub(crate) fn stated(capture: &Capture) -> Vec<Shot> {
+    capture.photos().iter().map(|photo| photo.shot).collect()
 }
 
 /// The factor on the light of `stated` that `shot` has.
