@@ -212,6 +212,16 @@ def test_a_telephones_curve_flash_and_room_are_found(tmp_path, page):
         svbrdf_gcn.acquire([tmp_path / "0.png"], dark=tmp_path / "sky.png")
 
 
+def test_a_photo_whose_flash_did_not_fire_is_left_out(tmp_path, page):
+    """No EXIF data say so, but the paper does: light of the room falls off in another way."""
+    scene = make_photos.Scene(page, 12.0, make_photos.Lens(), room=(0.05, 0.05, 0.05))
+    shots = make_photos.around(4, size=(900, 600))
+    shots[2] = replace(shots[2], flash=False)
+    _, _, report = acquired(tmp_path, scene, shots)
+    assert [out["photo"] for out in report["left_out"]] == ["2.png"] and "the flash did not fire" in report["left_out"][0]["reason"], report
+    assert len(report["photos"]) == 3
+
+
 def test_arguments_of_acquire_are_named(tmp_path):
     for arguments, error, said in [
         ({"photos": "0.png"}, svbrdf_gcn.FormatError, "photos: expected paths, got '0.png'"),

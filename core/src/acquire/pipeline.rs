@@ -50,6 +50,8 @@ const SIZE: usize = 1024;
 const BLUR: f64 = 1.0;
 /// Deviation of the paper from what position and light explain from which on it is worth a word, as a share.
 const PAPER_ERROR: f64 = 0.05;
+/// Likewise, from which on a photo is left out where the paper of the others is off by so much less as [`ERROR_RATIO`] says.
+const PAPER_ERROR_MAX: f64 = 0.2;
 /// Share of light that is not the flash's, and deviation of its colour from that of other photos, from which on they are worth a word.
 const AMBIENT: f64 = 0.05;
 const WHITE_BALANCE: f64 = 0.05;
@@ -535,10 +537,22 @@ fn assemble(
     mut thumbnails: Vec<Option<Thumbnail>>,
 ) -> Result<Acquisition> {
     let mut usable: Vec<Usable<'_>> = Vec::new();
+    let mut paper_errors: Vec<f64> = light.iter().filter_map(|light| light.error).collect();
+    paper_errors.sort_unstable_by(f64::total_cmp);
+    let usual_error = paper_errors.get(paper_errors.len() / 2).copied().unwrap_or_default();
+    let other_light = |error: f64| error > PAPER_ERROR_MAX && error > ERROR_RATIO * usual_error;
     for ((photo, Prepared { patch, across, blur }), &light) in placed.iter().zip(prepared).zip(light) {
         let Sighting { index, path, .. } = &photo.sighting;
         match patch {
             Err(reason) => left_out.push(LeftOut { photo: name_of(path), reason, index: *index }),
+            Ok(_) if light.error.is_some_and(other_light) => {
+                let off = 100.0 * light.error.unwrap_or_default();
+                let reason = format!(
+                    "its paper is off by {off:.0} % from what a flash explains, that of other photos by {:.0} %: the flash did not fire, or other light is stronger",
+                    100.0 * usual_error
+                );
+                left_out.push(LeftOut { photo: name_of(path), reason, index: *index });
+            }
             Ok((image, saturated)) => usable.push(Usable { photo, light, across, blur, image, saturated }),
         }
     }
