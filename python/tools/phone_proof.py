@@ -162,7 +162,8 @@ def unseen(material, capture):
     """RMSE of the views that no fit used, in gamma 2.2."""
     views = [i for i in range(len(capture.photos)) if i not in USED]
     rendered = [material.render(capture.camera_positions[i], capture.light_positions[i], capture.light_intensity[i]) for i in views]
-    return float(np.mean([svbrdf_gcn.photo_rmse(one, capture.photos[i]) for one, i in zip(rendered, views)]))
+    encoded = lambda linear: np.clip(linear, 0, 1) ** (1 / 2.2)
+    return float(np.mean([np.sqrt(np.mean((encoded(one) - encoded(capture.photos[i])) ** 2)) for one, i in zip(rendered, views)]))
 
 
 def twelve_megapixels(folder, page, binary):
