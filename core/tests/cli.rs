@@ -57,7 +57,8 @@ fn fit_evaluate_render_info() {
     let report = json(&fit);
     assert_eq!(report["report"]["method"], "network");
     let stages: Vec<_> = report["report"]["stages"].as_array().unwrap().iter().map(|stage| &stage["stage"]).collect();
-    assert_eq!(stages, ["encode", "direct", "finish"]);
+    // Another pass may follow.
+    assert_eq!(stages[..3], ["encode", "direct", "finish"]);
     assert_eq!(report["report"]["stages"][1]["steps"], 150);
     assert!(stderr(&fit).is_empty(), "{}", stderr(&fit));
     for file in ["diffuse.exr", "specular.exr", "roughness.exr", "normal.exr", "material.json", "preview.png"] {
