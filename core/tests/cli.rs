@@ -57,8 +57,9 @@ fn fit_evaluate_render_info() {
     let report = json(&fit);
     assert_eq!(report["report"]["method"], "network");
     let stages: Vec<_> = report["report"]["stages"].as_array().unwrap().iter().map(|stage| &stage["stage"]).collect();
-    // Another pass may follow.
     assert_eq!(stages[..3], ["encode", "direct", "finish"]);
+    // Another pass may be kept, and no more than one.
+    assert!(stages[3..].is_empty() || stages[3..] == ["direct", "finish"], "{stages:?}");
     assert_eq!(report["report"]["stages"][1]["steps"], 150);
     assert!(stderr(&fit).is_empty(), "{}", stderr(&fit));
     for file in ["diffuse.exr", "specular.exr", "roughness.exr", "normal.exr", "material.json", "preview.png"] {

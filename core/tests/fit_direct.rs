@@ -19,6 +19,12 @@ fn sample(name: &str, size: usize) -> Capture {
     Capture::open_with(path, &CaptureOptions::new().size(size)).unwrap()
 }
 
+/// The true maps of a sample.
+fn truth(name: &str, size: usize) -> Material {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples").join(name).join("truth");
+    Material::load(path).unwrap().resized(size).unwrap()
+}
+
 fn go_on(_: &Progress) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
@@ -35,8 +41,7 @@ fn held_out(material: &Material, capture: &Capture, views: &[usize]) -> f64 {
 #[test]
 fn a_matt_patch_comes_back_within_two_percent() {
     let capture = sample("lambert", 64);
-    let truth = Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples/lambert/truth");
-    let truth = Material::load(truth).unwrap().resized(64).unwrap();
+    let truth = truth("lambert", 64);
     let fit = fit_material(&capture, None, &FitOptions::preset(Preset::Balanced), &mut go_on).unwrap();
     for c in 0..3 {
         let mean = |material: &Material| {
@@ -62,8 +67,7 @@ fn unseen_photos_of_the_tiles() {
 #[test]
 fn brushed_steel_comes_back() {
     let capture = sample("brushed", 64);
-    let truth = Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples/brushed/truth");
-    let truth = Material::load(truth).unwrap().resized(64).unwrap();
+    let truth = truth("brushed", 64);
     let seen = capture.select(&[0, 1, 2, 3, 4, 5, 6]).unwrap();
     let fit = fit_material(&seen, None, &FitOptions::default(), &mut go_on).unwrap();
     assert_eq!(fit.report.reflectance, Reflectance::Anisotropic);

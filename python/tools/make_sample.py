@@ -31,7 +31,7 @@ from sample_material import PATCH_SIZE
 # Light: a white diffuse patch facing it at 15 cm has a radiance of about 0.9.
 LIGHT_INTENSITY = (640.0, 620.0, 590.0)
 # Brushed steel under it would be white where it shines.
-DIM_LIGHT_INTENSITY = (160.0, 155.0, 147.5)
+DIM_LIGHT_INTENSITY = tuple(intensity / 4 for intensity in LIGHT_INTENSITY)
 LIGHT_RADIUS = 0.05
 # Cycles: samples per pixel of the perspective photo; a rectified pixel collects those of some fifty pixels.
 SAMPLES = 4

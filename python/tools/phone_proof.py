@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import make_phone  # noqa: E402
 import make_photos  # noqa: E402
 import png  # noqa: E402
+import sample_check  # noqa: E402
 import sample_material  # noqa: E402
 
 # To the right and up of the lens, in mm.
@@ -155,15 +156,14 @@ def map_errors(material):
 
     pairs = [(material.diffuse_albedo, fine.diffuse_albedo), (material.specular_albedo, fine.specular_albedo)]
     pairs += [(np.atleast_3d(material.roughness), fine.roughness), (material.normal, fine.normal)]
-    return [float(np.sqrt(np.mean((found - true(values)) ** 2))) for found, values in pairs]
+    return [sample_check.rmse(found, true(values)) for found, values in pairs]
 
 
 def unseen(material, capture):
     """RMSE of the views that no fit used, in gamma 2.2."""
     views = [i for i in range(len(capture.photos)) if i not in USED]
     rendered = [material.render(capture.camera_positions[i], capture.light_positions[i], capture.light_intensity[i]) for i in views]
-    encoded = lambda linear: np.clip(linear, 0, 1) ** (1 / 2.2)
-    return float(np.mean([np.sqrt(np.mean((encoded(one) - encoded(capture.photos[i])) ** 2)) for one, i in zip(rendered, views)]))
+    return float(np.mean([sample_check.rmse(sample_check.gamma(one), sample_check.gamma(capture.photos[i])) for one, i in zip(rendered, views)]))
 
 
 def twelve_megapixels(folder, page, binary):

@@ -35,8 +35,7 @@ def load(folder):
     maps = json.loads((folder / "truth" / "material.json").read_text())["maps"]
     truth = {name: unit_range(png.read(folder / "truth" / one["file"])) for name, one in maps.items()}
     for name in {"normal", "tangent"} & truth.keys():
-        vectors = 2 * truth[name] - 1
-        truth[name] = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+        truth[name] = unit(2 * truth[name] - 1)
     return Sample(
         capture=capture,
         photos=[decode(unit_range(photo), capture["transfer"]) for photo in stored],
@@ -47,6 +46,10 @@ def load(folder):
 
 def unit_range(stored):
     return stored / np.iinfo(stored.dtype).max
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def decode(stored, transfer):
@@ -66,9 +69,6 @@ def shade(truth, camera, light, light_intensity, patch_size):
 
     def dot(a, b):
         return (a * b).sum(-1, keepdims=True)
-
-    def unit(vectors):
-        return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
     to_light = np.asarray(light) - points
     view_dir, light_dir = unit(np.asarray(camera) - points), unit(to_light)

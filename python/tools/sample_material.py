@@ -92,17 +92,13 @@ def tiles(size):
     height = np.where(stud < 0, height.mean() + 0.03 + 0.55 * dome + 0.0018 * np.sin(2 * np.pi * radius / 0.2), height)
     height = np.where(body > 0, 0.0035 * grit, height)
     height = blurred(height, 0.035 / texel)
-    slope_x = (np.roll(height, -1, 1) - np.roll(height, 1, 1)) / (2 * texel)
-    slope_y = (np.roll(height, 1, 0) - np.roll(height, -1, 0)) / (2 * texel)
-    normal = np.stack([-slope_x, -slope_y, np.ones_like(height)], -1)
-
-    normal = averaged(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+    normal = averaged(normals(height, texel))
     return Maps(
         base_color=averaged(color),
         metallic=averaged(metallic),
         dielectric_f0=averaged(f0),
         roughness=averaged(roughness),
-        normal=normal / np.linalg.norm(normal, axis=-1, keepdims=True),
+        normal=unit(normal),
     )
 
 
@@ -113,10 +109,7 @@ def brushed(size):
     x, y = np.meshgrid(across, across[::-1])
     ones = np.ones((size, size, 1))
     angle = 0.45 + 0.18 * np.sin(x) + 0.12 * np.cos(y)
-    buckle, texel = 0.05 * noise(rng, size, 2.5), PATCH_SIZE / size
-    slope_x = (np.roll(buckle, -1, 1) - np.roll(buckle, 1, 1)) / (2 * texel)
-    slope_y = (np.roll(buckle, 1, 0) - np.roll(buckle, -1, 0)) / (2 * texel)
-    normal = unit(np.stack([-slope_x, -slope_y, np.ones_like(buckle)], -1))
+    normal = normals(0.05 * noise(rng, size, 2.5), PATCH_SIZE / size)
     along = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     wear = noise(rng, size, 0.25)[..., None]
     return Maps(
@@ -128,6 +121,13 @@ def brushed(size):
         normal=normal,
         tangent=unit(along - normal * (along * normal).sum(-1, keepdims=True)),
     )
+
+
+def normals(height, texel):
+    """Of a surface whose heights repeat; `texel` is the width of a pixel in their unit."""
+    slope_x = (np.roll(height, -1, 1) - np.roll(height, 1, 1)) / (2 * texel)
+    slope_y = (np.roll(height, 1, 0) - np.roll(height, -1, 0)) / (2 * texel)
+    return unit(np.stack([-slope_x, -slope_y, np.ones_like(height)], -1))
 
 
 def unit(vectors):

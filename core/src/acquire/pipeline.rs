@@ -543,16 +543,18 @@ fn assemble(
     let other_light = |error: f64| error > PAPER_ERROR_MAX && error > ERROR_RATIO * usual_error;
     for ((photo, Prepared { patch, across, blur }), &light) in placed.iter().zip(prepared).zip(light) {
         let Sighting { index, path, .. } = &photo.sighting;
+        let patch = match light.error.filter(|&error| other_light(error)) {
+            Some(error) => patch.and_then(|_| {
+                Err(format!(
+                    "its paper is off by {:.0} % from what a flash explains, that of other photos by {:.0} %: the flash did not fire, or other light is stronger",
+                    100.0 * error,
+                    100.0 * usual_error
+                ))
+            }),
+            None => patch,
+        };
         match patch {
             Err(reason) => left_out.push(LeftOut { photo: name_of(path), reason, index: *index }),
-            Ok(_) if light.error.is_some_and(other_light) => {
-                let off = 100.0 * light.error.unwrap_or_default();
-                let reason = format!(
-                    "its paper is off by {off:.0} % from what a flash explains, that of other photos by {:.0} %: the flash did not fire, or other light is stronger",
-                    100.0 * usual_error
-                );
-                left_out.push(LeftOut { photo: name_of(path), reason, index: *index });
-            }
             Ok((image, saturated)) => usable.push(Usable { photo, light, across, blur, image, saturated }),
         }
     }

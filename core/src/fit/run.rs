@@ -54,7 +54,8 @@ pub(crate) struct Refined {
 impl Refined {
     fn new(capture: &Capture, shots: Vec<Shot>) -> Self {
         let stated = || capture.photos().iter().map(|photo| &photo.shot).zip(&shots);
-        let gains = stated().map(|(stated, shot)| light::gain(shot, stated)).collect();
+        let gains: Vec<f64> = stated().map(|(stated, shot)| light::gain(shot, stated)).collect();
+        tracing::debug!("light of the photos: {gains:.3?}");
         let offset = |(stated, shot): (&Shot, &Shot)| std::array::from_fn(|i| shot.camera[i] - stated.camera[i]);
         let offsets = stated().map(offset).collect();
         Self { shots, gains, offsets }

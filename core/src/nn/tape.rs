@@ -287,11 +287,11 @@ pub(crate) fn record<E: Scalar, T: Tape<E, Cpu>>(
 /// An image as an ordinary tensor of dfdx: (1, planes, rows, columns).
 pub(crate) type Image<E, T = NoneTape> = Tensor<(usize, usize, usize, usize), E, Cpu, T>;
 
-/// A loss on the tape that it was computed on.
-pub(crate) type Loss<E, T = OwnedTape<E, Cpu>> = Tensor<Rank0, E, Cpu, T>;
-
 /// A tape that records.
 pub(crate) type Recording<E> = OwnedTape<E, Cpu>;
+
+/// A loss on the tape that it was computed on.
+pub(crate) type Loss<E, T = Recording<E>> = Tensor<Rank0, E, Cpu, T>;
 
 /// `values`, planes after one another of this size, that an operation has computed; and on `tape` what `backward` does with the gradient with respect to them.
 pub(crate) fn image<E: Scalar, T: Tape<E, Cpu>>(
@@ -358,7 +358,7 @@ impl<E: Scalar> End<E> {
         });
         // dfdx starts from a scalar: this one only carries the tape.
         let start: Tensor<Rank0, E, Cpu> = Cpu::default().try_zeros().map_err(tape_error)?;
-        Ok(Pullback(start.put_tape(tape).try_backward().map_err(tape_error)?))
+        Pullback::from(start.put_tape(tape))
     }
 }
 

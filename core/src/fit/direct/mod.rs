@@ -27,7 +27,7 @@ mod start;
 
 use std::time::Instant;
 
-use crate::capture::{Capture, Photo};
+use crate::capture::Capture;
 use crate::error::Result;
 use crate::fit::anisotropy;
 use crate::fit::optim::descent::{Descent, Settings, descend};
@@ -116,11 +116,6 @@ pub(crate) fn fit_direct(
     };
     let mut problem = Problem::new(capture, super::targets(capture)?, relief.map(<[f32]>::to_vec), options)?;
     let (direct, descent) = problem.fit_in_rounds(capture, options, control)?;
-    let gain = |(shot, photo): (&Shot, &Photo)| light::gain(shot, &photo.shot);
-    tracing::debug!(
-        "light of the photos: {:.3?}",
-        direct.shots.iter().zip(capture.photos()).map(gain).collect::<Vec<_>>()
-    );
     stages.push(StageReport::new(Stage::Direct, &descent, begun.elapsed().as_secs_f64()));
     Ok((direct, relief.is_some()))
 }

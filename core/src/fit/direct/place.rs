@@ -96,6 +96,7 @@ mod tests {
     use super::{moved, placed};
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
+    use crate::fit::direct::light::stated;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
     use crate::render::render_maps;
@@ -151,13 +152,12 @@ mod tests {
     fn right_positions_and_photos_that_show_nothing_stay() {
         let maps = maps(0.1);
         let mut capture = capture(&maps, &[[0.0; 3]; 4]);
-        let shots = |capture: &Capture| capture.photos().iter().map(|photo| photo.shot).collect::<Vec<_>>();
-        for (found, stated) in placed(&capture, &maps).unwrap().iter().zip(shots(&capture)) {
+        for (found, stated) in placed(&capture, &maps).unwrap().iter().zip(stated(&capture)) {
             assert!((0..3).all(|c| (found.camera[c] - stated.camera[c]).abs() < 1e-4));
         }
         let photo = |photo: &Photo| Photo { saturated: vec![7; PIXELS], ..photo.clone() };
         let saturated = capture.photos().iter().map(photo).collect();
         capture = Capture::new(saturated, 2.0, Transfer::Linear).unwrap();
-        assert_eq!(placed(&capture, &maps).unwrap(), shots(&capture));
+        assert_eq!(placed(&capture, &maps).unwrap(), stated(&capture));
     }
 }

@@ -130,7 +130,7 @@ impl<'a> Readout<'a> {
     }
 }
 
-fn lock(adapters: &Mutex<Adapters>) -> MutexGuard<'_, Adapters> {
+pub(super) fn lock(adapters: &Mutex<Adapters>) -> MutexGuard<'_, Adapters> {
     adapters.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

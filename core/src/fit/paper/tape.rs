@@ -1,10 +1,11 @@
 //! The way from the material feature to the maps on dfdx's tape. The loss behind it is [`photo_loss_on_tape`](crate::render::photo_loss_on_tape), the decoder before it
 //! ends on the same tape.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use dfdx::prelude::*;
 
+use super::adapters::lock;
 use crate::error::{Error, Result};
 use crate::maps::Maps;
 use crate::nn::tape::{Image, image};
@@ -18,7 +19,7 @@ pub(super) fn adapters<T: Tape<f32, Cpu>>(
 ) -> Result<Image<f32, T>> {
     let (feature, tape) = feature.split_tape();
     let (_, channels, height, width) = *feature.shape();
-    let mut held = adapters.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut held = lock(adapters);
     held.set_feature(&feature.as_vec())?;
     let mut raw = vec![0.0; held.raw_len()];
     held.forward(params, &mut raw)?;
@@ -27,7 +28,7 @@ pub(super) fn adapters<T: Tape<f32, Cpu>>(
     let (feature, adapters) = (feature.ghost(), adapters.clone());
     image(raw, [planes, height, width], tape, move |gradient, grads| {
         let mut back = vec![0.0; channels * height * width];
-        let mut held = adapters.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut held = lock(&adapters);
         held.backward(gradient, None, Some(&mut back)).map_err(misfit)?;
         add(grads.get_or_alloc_mut(&feature)?, &back);
         Ok(())
