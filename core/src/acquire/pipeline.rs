@@ -208,6 +208,23 @@ struct Lit {
     ambient: Option<f64>,
 }
 
+/// Why a photo cannot be used whose paper is not lit as the flash would, while that of the others is.
+fn other_light(light: &[Lit]) -> Vec<Option<String>> {
+    let errors: Vec<(usize, f64)> = light.iter().enumerate().filter_map(|(i, light)| Some((i, light.error?))).collect();
+    let mut sorted: Vec<f64> = errors.iter().map(|&(_, error)| error).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or_default();
+    let mut reasons = vec![None; light.len()];
+    for (i, error) in errors.into_iter().filter(|&(_, error)| error > PAPER_ERROR_MAX && error > ERROR_RATIO * usual) {
+        reasons[i] = Some(format!(
+            "its paper is off by {:.0} % from what a flash explains, that of other photos by {:.0} %: the flash did not fire, or other light is stronger",
+            100.0 * error,
+            100.0 * usual
+        ));
+    }
+    reasons
+}
+
 /// The light of every photo, and what its lens and the camera do to it, as the sheet's paper tells.
 fn lit(lenses: &mut [LensReport], placed: &[Placed], dark: Option<&Placed>, options: &AcquireOptions) -> Vec<Lit> {
     let mut light = vec![Lit::default(); placed.len()];
@@ -537,22 +554,12 @@ fn assemble(
     mut thumbnails: Vec<Option<Thumbnail>>,
 ) -> Result<Acquisition> {
     let mut usable: Vec<Usable<'_>> = Vec::new();
-    let mut paper_errors: Vec<f64> = light.iter().filter_map(|light| light.error).collect();
-    paper_errors.sort_unstable_by(f64::total_cmp);
-    let usual_error = paper_errors.get(paper_errors.len() / 2).copied().unwrap_or_default();
-    let other_light = |error: f64| error > PAPER_ERROR_MAX && error > ERROR_RATIO * usual_error;
-    for ((photo, Prepared { patch, across, blur }), &light) in placed.iter().zip(prepared).zip(light) {
+    let other_light = other_light(light);
+    for (((photo, Prepared { patch, across, blur }), &light), other_light) in
+        placed.iter().zip(prepared).zip(light).zip(other_light)
+    {
         let Sighting { index, path, .. } = &photo.sighting;
-        let patch = match light.error.filter(|&error| other_light(error)) {
-            Some(error) => patch.and_then(|_| {
-                Err(format!(
-                    "its paper is off by {:.0} % from what a flash explains, that of other photos by {:.0} %: the flash did not fire, or other light is stronger",
-                    100.0 * error,
-                    100.0 * usual_error
-                ))
-            }),
-            None => patch,
-        };
+        let patch = patch.and_then(|patch| other_light.map_or(Ok(patch), Err));
         match patch {
             Err(reason) => left_out.push(LeftOut { photo: name_of(path), reason, index: *index }),
             Ok((image, saturated)) => usable.push(Usable { photo, light, across, blur, image, saturated }),
