@@ -7,12 +7,13 @@ The work is done by the `svbrdf_gcn` wheel that the extension brings along; the 
 - `job`: a fit on a thread of its own (knows nothing of Blender)
 - `images`: pixels in and out of Blender's images
 - `material`: maps to a node group around the Principled BSDF
+- `corners`: a patch's corners, clicked in the image editor
 - `operators`, `panels`: buttons
 """
 
-from . import operators, panels, settings
+from . import corners, operators, panels, settings
 
-MODULES = (settings, operators, panels)
+MODULES = (settings, operators, corners, panels)
 
 
 def register():

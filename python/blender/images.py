@@ -49,6 +49,18 @@ def write(name, values, color_spaces):
     return image
 
 
+def show(name, values):
+    """An image to look at for a while, of linear `values` of shape (H, W, 3)."""
+    height, width, _ = values.shape
+    image = bpy.data.images.new(name, width, height, alpha=False)
+    linear = np.clip(values[::-1], 0, 1)
+    rgba = np.ones((height, width, 4), np.float32)
+    rgba[..., :3] = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    image.pixels.foreach_set(rgba.ravel())
+    image.update()
+    return image
+
+
 def set_color_space(image, names):
     """Give the image the first of these colour spaces that this Blender's configuration has."""
     for name in names:

@@ -10,7 +10,7 @@ from bpy_extras.io_utils import ImportHelper
 
 import svbrdf_gcn
 
-from . import images, material
+from . import corners, images, material
 from .job import Job
 
 # Seconds between looks at a running job.
@@ -107,18 +107,24 @@ def opened(path, reading, options):
 
 
 def acquired(paths, settings, reading, options):
-    """`prepare` for photos of a printed sheet."""
+    """`prepare` for photos of a printed sheet, or of a patch whose corners are known."""
     for name in ("views", "transfer", "color_space", "ignore_profiles"):
         if reading[name]:
             raise ValueError(f"{name}: is for captures; photos of a sheet are all taken, as their files say: expected nothing, got {reading[name]!r}")
-    sheet = {"frame_width": settings.frame_width} if settings.other_frame else {"window": settings.window}
-    for name in ("printed_bar", "depth", "paper_white"):
-        sheet[name] = getattr(settings, name)
-    sheet["light_offset"] = "auto" if settings.find_light_offset else tuple(settings.light_offset)
-    sheet["dark"] = absolute(settings.dark) or None
+    if settings.reference == "CORNERS":
+        missing = [Path(file.path).name for file in settings.photo_files if not corners.known(file)]
+        if missing:
+            raise ValueError(f"corners: expected four for every photo, got none for {', '.join(missing)}; press Pick Corners in an image editor")
+        reference = {"corners": [tuple(file.corners) for file in settings.photo_files], "patch_width": settings.patch_width, "light_offset": tuple(settings.light_offset)}
+    else:
+        reference = {"frame_width": settings.frame_width} if settings.reference == "FRAME" else {"window": settings.window}
+        for name in ("printed_bar", "depth", "paper_white"):
+            reference[name] = getattr(settings, name)
+        reference["light_offset"] = "auto" if settings.find_light_offset else tuple(settings.light_offset)
+        reference["dark"] = absolute(settings.dark) or None
 
     def fit_acquired(**control):
-        acquisition = svbrdf_gcn.acquire(paths, **sheet, size=reading["size"], max_memory=options["max_memory"], **control)
+        acquisition = svbrdf_gcn.acquire(paths, **reference, size=reading["size"], max_memory=options["max_memory"], **control)
         return svbrdf_gcn.fit_material(acquisition.capture, **options, **control), acquisition.report["warnings"]
 
     return Path(paths[0]).parent.name or "Material", fit_acquired
@@ -335,7 +341,7 @@ PHOTOS = "*.png;*.jpg;*.jpeg;*.tif;*.tiff;*.exr"
 
 
 class SVBRDF_GCN_OT_choose_photos(bpy.types.Operator, ImportHelper):
-    """Choose photos of a printed sheet, or one photo taken from straight above with the flash"""
+    """Choose photos of a printed sheet or of a patch whose corners can be clicked, or one photo taken from straight above with the flash"""
 
     bl_idname = "svbrdf_gcn.choose_photos"
     bl_label = "Choose Photos"

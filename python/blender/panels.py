@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The same panel in the shader editor and in the image editor."""
 
+from pathlib import Path
+
 import bpy
 
-from . import material
+from . import corners, material
 
 
 class SVBRDF_GCN_UL_photos(bpy.types.UIList):
@@ -43,13 +45,20 @@ def draw_fit(layout, context):
 
 def draw_files(column, settings):
     count = len(settings.photo_files)
-    column.operator("svbrdf_gcn.choose_photos", icon="FILE_FOLDER", text=f"{count} Photos of a Sheet" if count > 1 else "Choose Photos")
+    column.operator("svbrdf_gcn.choose_photos", icon="FILE_FOLDER", text=f"{count} Photos" if count > 1 else "Choose Photos")
     if count == 1:
         column.prop(settings.photo_files[0], "path")
     if count < 2:
         return
-    column.prop(settings, "other_frame")
-    column.prop(settings, "frame_width" if settings.other_frame else "window")
+    column.prop(settings, "reference")
+    if settings.reference == "CORNERS":
+        column.prop(settings, "patch_width")
+        column.prop(settings, "light_offset")
+        for file in settings.photo_files:
+            column.label(text=Path(file.path).name, icon="CHECKMARK" if corners.known(file) else "QUESTION")
+        column.operator("svbrdf_gcn.pick_corners", icon="EYEDROPPER")
+        return
+    column.prop(settings, "frame_width" if settings.reference == "FRAME" else "window")
     for name in ("printed_bar", "depth", "find_light_offset"):
         column.prop(settings, name)
     if not settings.find_light_offset:

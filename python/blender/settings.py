@@ -28,6 +28,12 @@ class SVBRDF_GCN_PG_file(bpy.types.PropertyGroup):
     """A photo that is read from its file."""
 
     path: StringProperty(name="Photo", subtype="FILE_PATH")
+    corners: FloatVectorProperty(
+        name="Corners",
+        description="x and y of the patch's upper left, upper right, lower right and lower left corner, in pixels of the photo as viewers show it; all 0: not known",
+        size=8,
+        min=0,
+    )
 
 
 class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
@@ -44,11 +50,20 @@ class SVBRDF_GCN_PG_settings(bpy.types.PropertyGroup):
         default="FOLDER",
     )
     photo_files: CollectionProperty(type=SVBRDF_GCN_PG_file)
-    other_frame: BoolProperty(name="Other Frame", description="The photos show the frame of svbrdf-diff-renderer in place of our sheet", default=False)
+    reference: EnumProperty(
+        name="Reference",
+        description="What tells where the photos were taken from",
+        items=[
+            ("SHEET", "Sheet", "The printed sheet around the sample"),
+            ("FRAME", "Other Frame", "The frame of svbrdf-diff-renderer"),
+            ("CORNERS", "Corners", "The corners of a square patch of known width, clicked in every photo"),
+        ],
+    )
     window: FloatProperty(name="Window (mm)", description="Width of the window of the printed sheet", default=100, min=20, max=1000)
     frame_width: FloatProperty(
         name="Frame Width (mm)", description="Width of the frame of svbrdf-diff-renderer, from outer edge to outer edge", default=170, min=20, max=1000
     )
+    patch_width: FloatProperty(name="Width (mm)", description="Width of the square patch whose corners are known", default=100, min=1, max=100000)
     printed_bar: FloatProperty(name="Printed Bar (mm)", description="Length of the sheet's bar of 100 mm as it was printed", default=100, min=50, max=200)
     depth: FloatProperty(name="Depth (mm)", description="How far the sample lies below the sheet's face; negative above it", default=0)
     find_light_offset: BoolProperty(name="Find Flash", description="Find from the paper where the flash is beside the lens", default=False)

@@ -133,12 +133,124 @@ def test_the_making_of_a_capture_is_stopped(scene, operators):
     assert modal.send("ESC") == {"PASS_THROUGH"}
     assert modal.until_done() == {"CANCELLED"} and modal.reports[-1] == ("INFO", "Fit cancelled")
     settings = scene.svbrdf_gcn
-    settings.other_frame = True
+    settings.reference = "FRAME"
     with pytest.raises(RuntimeError, match="0 of the sheet's 16 tags"):
         run()
     settings.views = "0"
     with pytest.raises(RuntimeError, match="views: is for captures"):
         run()
+
+
+# Of the window in the sample's first photos: x and y from the upper left on clockwise.
+CORNERS = [[(517, 311), (947, 285), (973, 718), (538, 743)], [(555, 285), (974, 304), (948, 734), (571, 669)]]
+
+
+class Editor:
+    """An image editor of 600 x 400 pixels at (100, 50) that shows the picture whole, and the operator in it."""
+
+    WIDTH, HEIGHT = 600, 400
+
+    def __init__(self, corners):
+        self.cls = corners.SVBRDF_GCN_OT_pick_corners
+        view = SimpleNamespace(region_to_view=lambda x, y: (x / self.WIDTH, y / self.HEIGHT))
+        window = SimpleNamespace(type="WINDOW", x=100, y=50, width=self.WIDTH, height=self.HEIGHT, view2d=view)
+        self.said, self.reports = [], []
+        area = SimpleNamespace(type="IMAGE_EDITOR", regions=[SimpleNamespace(type="HEADER", x=100, y=450, width=600, height=26), window], header_text_set=self.said.append, tag_redraw=lambda: None)
+        self.context = SimpleNamespace(
+            scene=bpy.context.scene,
+            area=area,
+            space_data=SimpleNamespace(image=None, show_region_ui=True),
+            window_manager=SimpleNamespace(modal_handler_add=lambda operator: None),
+        )
+
+    def report(self, kind, text):
+        self.reports.append((min(kind), text))
+
+    def __getattr__(self, name):
+        """The operator's other methods."""
+        return lambda *arguments: getattr(self.cls, name)(self, *arguments)
+
+    def invoke(self):
+        return self.cls.invoke(self, self.context, None)
+
+    def click(self, u, v):
+        """At a share of the picture's width from the left and of its height from the top."""
+        return self.send("LEFTMOUSE", round(u * self.WIDTH, 3), round((1 - v) * self.HEIGHT, 3))
+
+    def send(self, kind, x=0, y=0, value="PRESS"):
+        return self.cls.modal(self, self.context, SimpleNamespace(type=kind, value=value, mouse_x=100 + x, mouse_y=50 + y))
+
+
+@pytest.fixture
+def corners(addon, monkeypatch):
+    from bl_ext.user_default.svbrdf_gcn import corners
+
+    # Needs a window.
+    monkeypatch.setattr(corners, "show_whole", lambda area, region: None)
+    return corners
+
+
+def test_corners_are_clicked(scene, corners):
+    choose(2)
+    before = len(bpy.data.images)
+    editor = Editor(corners)
+    assert editor.invoke() == {"RUNNING_MODAL"}
+    assert editor.context.space_data.image.name == "1.jpg" and "1.jpg (1 of 2): click the upper left" in editor.said[-1]
+    assert editor.send("WHEELUPMOUSE") == {"PASS_THROUGH"} and editor.send("LEFTMOUSE", -30, 10) == {"PASS_THROUGH"}
+    editor.click(0.9, 0.9)
+    assert "upper right" in editor.said[-1]
+    editor.send("BACK_SPACE")
+    assert "upper left" in editor.said[-1]
+    for photo in CORNERS:
+        for x, y in photo:
+            state = editor.click(x / 1500, y / 1000)
+    assert state == {"FINISHED"} and editor.said[-1] is None
+    assert editor.context.space_data == SimpleNamespace(image=None, show_region_ui=True)
+    files = scene.svbrdf_gcn.photo_files
+    np.testing.assert_allclose([np.reshape(file.corners, (4, 2)) for file in files], CORNERS, atol=0.01)
+    assert len(bpy.data.images) == before, "what was shown is gone"
+    # Again, and left after the first photo.
+    editor = Editor(corners)
+    editor.invoke()
+    for x, y in [(10, 10), (90, 10), (90, 90), (10, 90)]:
+        editor.click(x / 1500, y / 1000)
+    editor.click(0.5, 0.5)
+    assert editor.send("ESC") == {"CANCELLED"} and len(bpy.data.images) == before
+    assert list(files[0].corners) == [10, 10, 90, 10, 90, 90, 10, 90]
+    np.testing.assert_allclose(np.reshape(files[1].corners, (4, 2)), CORNERS[1], atol=0.01)
+
+
+def test_a_photo_is_shown_as_it_is(scene, corners, tmp_path):
+    photo = corners.Photo(ROOT / "samples" / "phone" / "1.jpg")
+    own = bpy.data.images.load(str(ROOT / "samples" / "phone" / "1.jpg"))
+    assert tuple(photo.image.size) == tuple(own.size) == photo.size == (1500, 1000)
+    shown, loaded = (np.array(image.pixels[:]).reshape(1000, 1500, 4) for image in (photo.image, own))
+    # Two decoders of JPEG.
+    assert np.abs(shown - loaded).mean() < 2 / 255
+    assert photo.pixel(0, 1) == (0, 0) and photo.pixel(*photo.place(40, 30)) == pytest.approx((40, 30))
+    # 2500 x 1251, shown at half the size: half a pixel below is not shown.
+    large = bpy.data.images.new("large", 2500, 1251)
+    large.filepath_raw, large.file_format = str(tmp_path / "large.png"), "PNG"
+    large.save()
+    photo = corners.Photo(tmp_path / "large.png")
+    assert tuple(photo.image.size) == (1250, 625) and photo.size == (2500, 1251)
+    assert photo.pixel(1, 0) == (2500, 1250) and photo.pixel(0.5, 1) == (1250, 0)
+
+
+def test_photos_with_corners_give_what_python_gives(scene, corners):
+    import svbrdf_gcn
+
+    photos = choose(2)
+    settings = scene.svbrdf_gcn
+    settings.reference, settings.patch_width, settings.light_offset = "CORNERS", 96, (14, 4)
+    with pytest.raises(RuntimeError, match="corners: expected four for every photo, got none for 1.jpg, 2.jpg; press Pick Corners"):
+        run()
+    for file, known in zip(settings.photo_files, CORNERS):
+        file.corners = np.ravel(known)
+    assert run() == {"FINISHED"}
+    capture = svbrdf_gcn.acquire(photos, corners=CORNERS, patch_width=96, light_offset=(14, 4), size=24).capture
+    want = svbrdf_gcn.fit_material(capture, preset="draft", threads=2)
+    np.testing.assert_allclose(maps_of(fitted(scene)).diffuse_albedo, want.diffuse_albedo, atol=1e-3)
 
 
 def test_one_photo_needs_no_sheet(scene):
