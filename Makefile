@@ -57,11 +57,11 @@ unit: ## Rust tests, also against OpenImageIO
 docs-test: ## the examples in the documentation
 	$(CARGO) test $(WORKSPACE) --doc --locked
 
-c-test: ## C and C++: interface, installed library, examples, sanitizers, valgrind, same files as the command line
+c-test: ## C and C++: interface, installed library, examples, sanitizers, valgrind
 	$(CARGO) build $(WORKSPACE) --lib --bins --test header --locked
 	rm -rf $(TARGET)/c
 	tools/install.sh $(TARGET)/debug $(TARGET)/c/prefix
-	tests/c/run.sh $(TARGET)/c/prefix $(TARGET)/debug/svbrdf-gcn
+	tests/c/run.sh $(TARGET)/c/prefix
 
 asan: ## the C and C++ tests with the library under AddressSanitizer too (minutes; compiles everything)
 	RUSTC_BOOTSTRAP=1 RUSTFLAGS=-Zsanitizer=address $(CARGO) build -p svbrdf-gcn-ffi --locked --target x86_64-unknown-linux-gnu --target-dir $(TARGET)/asan
@@ -103,7 +103,7 @@ wheel: $(MATURIN) ## the Python package as a wheel in dist (PROFILE=dev for a qu
 
 python-test: ## Python package and tools
 	$(VENV)/bin/python -m pytest -q -n auto --dist worksteal --durations 12 tests/python
-	SVBRDF_GCN_NUMPY=1.26 $(VENV)/numpy1/bin/python -m pytest -q tests/python/test_package.py
+	SVBRDF_GCN_NUMPY=1.26 $(VENV)/numpy1/bin/python -m pytest -q -n auto --dist worksteal tests/python/test_package.py
 
 mutations: ## 5,000 damaged captures, photos, materials and weights; after python-build (make test has 200 of another seed)
 	$(VENV)/bin/python tests/mutations/mutations.py

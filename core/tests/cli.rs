@@ -8,9 +8,9 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 #[allow(dead_code, reason = "shared by several tests")]
-#[path = "common/files.rs"]
+#[path = "library/common/files.rs"]
 mod files;
-#[path = "common/material.rs"]
+#[path = "library/common/material.rs"]
 mod material;
 
 fn samples(path: &str) -> PathBuf {

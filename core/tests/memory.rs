@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 #![allow(unsafe_code, reason = "an allocator that counts")]
 
-#[path = "common/material.rs"]
+#[path = "library/common/material.rs"]
 mod material;
 
 use std::alloc::{GlobalAlloc, Layout, System};

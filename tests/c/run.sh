@@ -1,10 +1,9 @@
 #!/usr/bin/env bash
-# Tests of the C and C++ interface against an installed library: run.sh PREFIX CLI, where CLI is the command line of the same build.
-# Environment: ASAN=1 if the library itself was built with AddressSanitizer (then CLI is not needed); CC, CXX.
+# Tests of the C and C++ interface against an installed library: run.sh PREFIX.
+# Environment: ASAN=1 if the library itself was built with AddressSanitizer; CC, CXX.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 prefix=$(realpath "$1")
-cli=${2:+$(realpath "$2")}
 out=$prefix/../tests
 rm -rf "$out"
 mkdir -p "$out"
@@ -122,9 +121,10 @@ PY
     return 0
 }
 
-parity() {
-    c99 tests/golden/fit.c $libs -o "$out/golden-c" && cpp17 tests/golden/fit.cpp $libs -o "$out/golden-cpp"
-    python3 tests/golden/compare.py "$out/golden" "cli=$cli" "c=$out/golden-c" "cpp=$out/golden-cpp"
+# `make golden` runs them and compares what they write.
+golden_programs() {
+    c99 tests/golden/fit.c $libs -o "$out/golden-c"
+    cpp17 tests/golden/fit.cpp $libs -o "$out/golden-cpp"
 }
 
 # Does a program with this flag really find what it is for?
@@ -164,16 +164,14 @@ if [ -z "${ASAN:-}" ]; then
     step "exported symbols" symbols
     step "soname and version" soname
     step "C99 program" c99 tests/c/test_api.c $libs -o "$out/test_c"
-    step "C99 tests" "$out/test_c" samples "$out/c"
     step "C++17 program" cpp17 tests/cpp/test_api.cpp $libs -o "$out/test_cpp"
-    step "C++17 tests" "$out/test_cpp" samples
     step "static consumer by pkg-config" static_consumer
     step "shared consumer by pkg-config" shared_consumer
     step "consumer by CMake" cmake_consumer
     step "CMake refuses a newer version" cmake_refuses_newer
     step "program of the README" readme_program
     step "OpenImageIO example" oiio_example
-    step "same files from the command line, C and C++" parity
+    step "programs of one capture in C and C++" golden_programs
     step "C and C++ tests under valgrind" both_under_valgrind
 fi
 step "the sanitizer finds an overflow" sanitizer_works

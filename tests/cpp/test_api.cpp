@@ -1,5 +1,5 @@
 // The C++ wrapper as a C++17 program sees it: test_api SAMPLES [quick]
-// quick: smaller, fewer photos and steps, for valgrind.
+// quick: smaller, fewer photos and steps, without the network, for valgrind.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -177,7 +177,7 @@ int main(int argc, char **argv) try {
     }
 
     // A callback's exception comes out as it went in, whatever its type, and the capture is as good as before.
-    for (const int at : {0, quick ? 3 : 50, quick ? 6 : 100}) {
+    for (const int at : quick ? std::vector<int>{3} : std::vector<int>{0, 50, 100}) {
         int calls_after = 0;
         bool thrown = false;
         try {
@@ -275,10 +275,12 @@ int main(int argc, char **argv) try {
     Options network = options;
     network.method = Method::Network;
     network.direct_steps = 2;
-    const auto finished = fit_material(capture, network);
-    CHECK(finished.report_json().find("\"stage\":\"finish\"") != std::string::npos);
-    const auto deviation = finished.normal_deviation();
-    CHECK(deviation.channels == 1 && deviation.width == finished.normal().width && deviation.at(0, 0, 0) > 0);
+    if (!quick) {
+        const auto finished = fit_material(capture, network);
+        CHECK(finished.report_json().find("\"stage\":\"finish\"") != std::string::npos);
+        const auto deviation = finished.normal_deviation();
+        CHECK(deviation.channels == 1 && deviation.width == finished.normal().width && deviation.at(0, 0, 0) > 0);
+    }
     network.weights = "no/such/weights";
     CHECK(throws(SVBRDF_GCN_ERR_IO, "no/such/weights", [&] { fit_material(capture, network); }));
 

@@ -1,15 +1,9 @@
 //! Material folders: written, read back, and read in the encodings of the field.
-#![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests")]
-
-#[allow(dead_code, reason = "shared by several tests")]
-mod common;
-#[path = "common/files.rs"]
-#[allow(dead_code, reason = "shared by several tests")]
-mod files;
 
 use std::fs;
 use std::path::Path;
 
+use crate::{common, files};
 use serde_json::{Value, json};
 use svbrdf_gcn::io::material::{
     LoadOptions, MATERIAL_JSON, MaterialEncoding, MaterialFormat, SaveOptions, check_folder, read_deviations,

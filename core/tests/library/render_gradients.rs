@@ -1,7 +1,5 @@
 //! The renderer and the loss against the shading of single points, and their gradients against central differences in f64.
 
-#![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
-
 use svbrdf_gcn::brdf::{Surface, shade_point, shade_point_gradient};
 use svbrdf_gcn::render::{TOE, Target, encode_radiance, photo_loss, render_maps};
 use svbrdf_gcn::{Error, Lobe, Maps, Shot};

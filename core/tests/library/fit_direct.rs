@@ -1,13 +1,10 @@
 //! The fit without a network, on photos that another renderer made.
 
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
-
-mod common;
-
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use crate::common;
 use svbrdf_gcn::metrics::photo_rmse;
 use svbrdf_gcn::render::render;
 use svbrdf_gcn::{

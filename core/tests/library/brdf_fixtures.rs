@@ -1,10 +1,6 @@
 //! Radiance and gradient of the shading model against expected values computed elsewhere in double precision.
 
-#![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
-
-#[allow(dead_code, reason = "shared by several tests")]
-mod common;
-
+use crate::common;
 use safetensors::SafeTensors;
 use svbrdf_gcn::brdf::real::Real;
 use svbrdf_gcn::brdf::{ROUGHNESS_MIN, Surface, shade_point, shade_point_gradient};

@@ -1,14 +1,10 @@
 //! The network against outputs and gradients of the released architecture, computed in f64.
 
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
-
-mod common;
-
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use common::{Expected, fixture, relative_l2, shared};
+use crate::common::{Expected, fixture, relative_l2, shared};
 use svbrdf_gcn::fit::paper::adapters::{Readout, fit_adapters};
 use svbrdf_gcn::fit::paper::latent::fit_latent;
 use svbrdf_gcn::nn::{AdapterParams, Adapters, Code, Decoding, Model, Network};

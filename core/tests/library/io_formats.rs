@@ -1,14 +1,8 @@
 //! Every image format, read from bytes written by hand, and written and read back.
-#![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests")]
-
-#[allow(dead_code, reason = "shared by several tests")]
-mod common;
-#[allow(dead_code, reason = "shared by several tests")]
-#[path = "common/files.rs"]
-mod files;
 
 use std::fs;
 
+use crate::{common, files};
 use image::codecs::jpeg::JpegEncoder;
 use proptest::collection::vec;
 use proptest::prelude::*;

@@ -1,7 +1,5 @@
 //! What the renderer promises for all inputs in its ranges.
 
-#![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
-
 use proptest::prelude::*;
 use svbrdf_gcn::brdf::real::Real;
 use svbrdf_gcn::brdf::{Surface, shade_point, shade_point_gradient};

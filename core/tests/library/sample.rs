@@ -1,7 +1,5 @@
 //! The sample captures, path-traced by another renderer, against this crate's reader and renderer: units, axes, encodings.
 
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::path::PathBuf;
 
 use svbrdf_gcn::capture::render_photo;

@@ -1,15 +1,9 @@
 //! What photo files say of their colours, what captures state, and which of them counts.
-#![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests")]
-
-#[allow(dead_code, reason = "shared by several tests")]
-mod common;
-#[allow(dead_code, reason = "shared by several tests")]
-#[path = "common/files.rs"]
-mod files;
 
 use std::fs;
 use std::path::Path;
 
+use crate::{common, files};
 use moxcms::ColorProfile;
 use svbrdf_gcn::io::{read_image, write_image};
 use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, Error, Image, Result, Transfer};

@@ -1,13 +1,9 @@
 //! The layouts of captures on disk and every way they can be wrong.
-#![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests")]
-
-#[path = "common/files.rs"]
-#[allow(dead_code, reason = "shared by several tests")]
-mod files;
 
 use std::fs;
 use std::path::Path;
 
+use crate::files;
 use svbrdf_gcn::io::Samples;
 use svbrdf_gcn::{Capture, CaptureOptions, ColorSpace, PhotoPixels, Shot, Transfer, Unit};
 use tempfile::TempDir;

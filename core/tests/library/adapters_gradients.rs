@@ -1,7 +1,5 @@
 //! Values and gradients of the adapters against a plain f64 version of the same formulas and its central differences.
 
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
-
 use svbrdf_gcn::nn::{AdapterParams, Adapters};
 
 /// Uniform values in [-1, 1) from a linear congruential generator.

@@ -1,5 +1,4 @@
 //! Exports: files, their documents, and what they say was lost.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use std::fs;
 use std::path::Path;
