@@ -34,7 +34,13 @@ class Photo:
         small = pixels[: height * factor, : width * factor].reshape(height, factor, width, factor, 3).mean((1, 3))
         # What is cut off at the right and at the bottom.
         self.shown = (width * factor, height * factor)
-        self.image = images.show(Path(path).name, small)
+        # By its name: an undo exchanges what lies behind references.
+        self.name = images.show(Path(path).name, small).name
+
+    @property
+    def image(self):
+        """What is shown; None if an undo took it away."""
+        return bpy.data.images.get(self.name)
 
     def pixel(self, u, v):
         """From the image editor's coordinates, which grow to the right and up from the lower left corner, to pixels from the upper left one."""
@@ -48,7 +54,8 @@ class Photo:
         return 0 <= x <= self.size[0] and 0 <= y <= self.size[1]
 
     def remove(self):
-        bpy.data.images.remove(self.image)
+        if self.image is not None:
+            bpy.data.images.remove(self.image)
 
 
 class SVBRDF_GCN_OT_pick_corners(bpy.types.Operator):
@@ -67,29 +74,29 @@ class SVBRDF_GCN_OT_pick_corners(bpy.types.Operator):
         return bool(settings.photo_files) and not settings.running
 
     def invoke(self, context, _event):
-        self.files = context.scene.svbrdf_gcn.photo_files
+        files = context.scene.svbrdf_gcn.photo_files
         self.area = context.area
         self.space = context.space_data
         self.region = next(region for region in context.area.regions if region.type == "WINDOW")
-        self.before = self.space.image, self.space.show_region_ui
+        self.before = self.space.image.name if self.space.image else None, self.space.show_region_ui
         self.photo = self.handler = None
         # Those that have none first; where all have some, all anew.
-        missing = [i for i, file in enumerate(self.files) if not known(file)]
-        self.waiting = missing or list(range(len(self.files)))
+        missing = [i for i, file in enumerate(files) if not known(file)]
+        self.waiting = missing or list(range(len(files)))
         # The sidebar covers a part of the picture.
         self.space.show_region_ui = False
-        if not self.next_photo():
+        if not self.next_photo(files):
             return self.finish({"CANCELLED"})
         self.handler = bpy.types.SpaceImageEditor.draw_handler_add(draw, (self,), "WINDOW", "POST_PIXEL")
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def next_photo(self):
+    def next_photo(self, files):
         """Show the next photo that waits; whether it can be read."""
         self.index = self.waiting.pop(0)
         self.clicked = []
         try:
-            old, self.photo = self.photo, Photo(bpy.path.abspath(self.files[self.index].path))
+            old, self.photo = self.photo, Photo(bpy.path.abspath(files[self.index].path))
         except (svbrdf_gcn.SvbrdfError, OSError, MemoryError) as error:
             self.report({"ERROR"}, str(error))
             return False
@@ -97,21 +104,22 @@ class SVBRDF_GCN_OT_pick_corners(bpy.types.Operator):
         if old is not None:
             old.remove()
         show_whole(self.area, self.region)
+        self.title = f"{Path(files[self.index].path).name} ({self.index + 1} of {len(files)})"
         self.say()
         return True
 
     def say(self):
-        name = Path(self.files[self.index].path).name
         self.area.header_text_set(
-            f"{name} ({self.index + 1} of {len(self.files)}): click the {NAMES[len(self.clicked)]} corner of the patch. "
+            f"{self.title}: click the {NAMES[len(self.clicked)]} corner of the patch. "
             "Backspace takes the last one back, Esc ends"
         )
         self.area.tag_redraw()
 
-    def modal(self, _context, event):
+    def modal(self, context, event):
         if event.value != "PRESS":
             return {"PASS_THROUGH"}
-        if event.type == "ESC" or self.area.type != "IMAGE_EDITOR":
+        files = context.scene.svbrdf_gcn.photo_files
+        if event.type == "ESC" or self.area.type != "IMAGE_EDITOR" or self.photo.image is None or self.index >= len(files):
             return self.finish({"CANCELLED"})
         if event.type == "BACK_SPACE" and self.clicked:
             self.clicked.pop()
@@ -127,27 +135,32 @@ class SVBRDF_GCN_OT_pick_corners(bpy.types.Operator):
         if len(self.clicked) < len(NAMES):
             self.say()
             return {"RUNNING_MODAL"}
-        self.files[self.index].corners = [value for corner in self.clicked for value in corner]
+        files[self.index].corners = [value for corner in self.clicked for value in corner]
         if not self.waiting:
             return self.finish({"FINISHED"})
-        return {"RUNNING_MODAL"} if self.next_photo() else self.finish({"CANCELLED"})
+        return {"RUNNING_MODAL"} if self.next_photo(files) else self.finish({"CANCELLED"})
 
     def cancel(self, _context):
-        """Blender ends the operator, for example because a file is opened."""
-        self.finish({"CANCELLED"})
+        """Blender ends the operator because a file is opened, say, and the editor with it."""
+        self.forget()
 
     def finish(self, state):
-        """The one way out: the editor is as it was."""
+        """The way out: the editor is as it was."""
+        image, self.space.show_region_ui = self.before
+        self.space.image = bpy.data.images.get(image) if image else None
+        self.area.header_text_set(None)
+        self.area.tag_redraw()
+        self.forget()
+        return state
+
+    def forget(self):
+        """Leave nothing behind."""
         if self.handler is not None:
             bpy.types.SpaceImageEditor.draw_handler_remove(self.handler, "WINDOW")
             self.handler = None
-        self.area.header_text_set(None)
-        self.space.image, self.space.show_region_ui = self.before
         if self.photo is not None:
             self.photo.remove()
             self.photo = None
-        self.area.tag_redraw()
-        return state
 
 
 def holds(region, event):

@@ -218,6 +218,11 @@ def test_corners_are_clicked(scene, corners):
     assert editor.send("ESC") == {"CANCELLED"} and len(bpy.data.images) == before
     assert list(files[0].corners) == [10, 10, 90, 10, 90, 90, 10, 90]
     np.testing.assert_allclose(np.reshape(files[1].corners, (4, 2)), CORNERS[1], atol=0.01)
+    # An undo takes the picture away.
+    editor = Editor(corners)
+    editor.invoke()
+    bpy.data.images.remove(editor.photo.image)
+    assert editor.click(0.5, 0.5) == {"CANCELLED"} and editor.said[-1] is None
 
 
 def test_a_photo_is_shown_as_it_is(scene, corners, tmp_path):
