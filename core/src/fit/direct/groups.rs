@@ -79,12 +79,10 @@ fn seed_centers(samples: &[[f32; 3]], groups: usize, seed: u64) -> Vec<[f32; 3]>
 
 fn lloyd(samples: &[[f32; 3]], mut centers: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     for _ in 0..ROUNDS {
-        let planes: [Vec<f32>; 3] = [0, 1, 2].map(|c| centers.iter().map(|center| center[c]).collect());
         let of_part = |samples: &[[f32; 3]]| {
             let mut sums = vec![[0.0f64; 4]; centers.len()];
-            let mut distances = vec![0.0; centers.len()];
             for &sample in samples {
-                let sum = &mut sums[nearest(sample, &planes, &mut distances)];
+                let sum = &mut sums[nearest(sample, &centers)];
                 sample.iter().zip(sum.iter_mut()).for_each(|(&value, sum)| *sum += f64::from(value));
                 sum[3] += 1.0;
             }
@@ -109,15 +107,15 @@ fn lloyd(samples: &[[f32; 3]], mut centers: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     centers
 }
 
-/// The first of the centers, given by their three planes, to which a colour is nearest. Without a branch between centers, so that several are looked at at once.
-fn nearest(color: [f32; 3], [red, green, blue]: &[Vec<f32>; 3], distances: &mut [f32]) -> usize {
-    let centers = red.iter().zip(green).zip(blue);
-    for (distance, ((&red, &green), &blue)) in distances.iter_mut().zip(centers) {
-        *distance = distance2(color, [red, green, blue]);
+fn nearest(color: [f32; 3], centers: &[[f32; 3]]) -> usize {
+    let mut nearest = (0, f32::INFINITY);
+    for (k, &center) in centers.iter().enumerate() {
+        let distance = distance2(color, center);
+        if distance < nearest.1 {
+            nearest = (k, distance);
+        }
     }
-    let least =
-        distances.iter().fold(f32::INFINITY, |least, &distance| if distance < least { distance } else { least });
-    distances.iter().position(|&distance| distance == least).unwrap_or_default()
+    nearest.0
 }
 
 /// Pixels in at most `count` groups by three planes of diffuse albedo, and how many groups there are.
