@@ -198,11 +198,4 @@ def draw(operator):
 CLASSES = (SVBRDF_GCN_OT_pick_corners,)
 
 
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

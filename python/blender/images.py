@@ -34,6 +34,23 @@ def read(image):
 def write(name, values, color_spaces):
     """A packed float image that holds `values` of shape (H, W) or (H, W, 1 to 3); replaces an image that this function made under that name."""
     values = values if values.ndim == 3 else values[..., None]
+    image = bpy.data.images.new(name, values.shape[1], values.shape[0], alpha=False, float_buffer=True)
+    set_color_space(image, color_spaces)
+    fill(image, values)
+    image.pack()
+    return image
+
+
+def show(name, values):
+    """An image to look at for a while, of linear `values` of shape (H, W, 3)."""
+    image = bpy.data.images.new(name, values.shape[1], values.shape[0], alpha=False)
+    linear = np.clip(values, 0, 1)
+    fill(image, np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))
+    return image
+
+
+def fill(image, values):
+    """Give the image `values` of shape (H, W, 1 to 3), as it stores them."""
     height, width, channels = values.shape
     rgba = np.ones((height, width, 4), np.float32)
     if channels == 1:
@@ -41,24 +58,8 @@ def write(name, values, color_spaces):
     else:
         rgba[..., 2] = 0
         rgba[..., :channels] = values[::-1]
-    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=True)
-    set_color_space(image, color_spaces)
     image.pixels.foreach_set(rgba.ravel())
     image.update()
-    image.pack()
-    return image
-
-
-def show(name, values):
-    """An image to look at for a while, of linear `values` of shape (H, W, 3)."""
-    height, width, _ = values.shape
-    image = bpy.data.images.new(name, width, height, alpha=False)
-    linear = np.clip(values[::-1], 0, 1)
-    rgba = np.ones((height, width, 4), np.float32)
-    rgba[..., :3] = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    image.pixels.foreach_set(rgba.ravel())
-    image.update()
-    return image
 
 
 def set_color_space(image, names):

@@ -11,6 +11,7 @@
 #![allow(clippy::needless_range_loop, reason = "the indices are those of the textbook")]
 
 use super::geometry::{Homography, cross, norm, product};
+use super::median;
 use crate::cholesky::Cholesky;
 
 /// Unknowns of a lens, and of a photo's place.
@@ -302,14 +303,10 @@ impl Search<'_> {
     /// The median distance, as a standard deviation along one axis.
     fn typical(&self) -> f64 {
         let all = self.photos.iter().zip(&self.places);
-        let mut squares: Vec<f64> = all
-            .flat_map(|(points, place)| points.iter().map(|&pair| self.distance2(place, &self.lens, pair)))
-            .collect();
-        let middle = squares.len() / 2;
+        let squares =
+            all.flat_map(|(points, place)| points.iter().map(|&pair| self.distance2(place, &self.lens, pair)));
         // The median of the squared distance of a Gaussian in the plane is 2 ln 2.
-        (*squares.select_nth_unstable_by(middle, f64::total_cmp).1 / (2.0 * std::f64::consts::LN_2))
-            .sqrt()
-            .max(self.precision.sigma_min)
+        (median(squares).unwrap_or_default() / (2.0 * std::f64::consts::LN_2)).sqrt().max(self.precision.sigma_min)
     }
 
     fn priors(&self, lens: &Lens) -> [(f64, f64); LENS] {

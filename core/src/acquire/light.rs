@@ -12,6 +12,7 @@
 use std::f64::consts::PI;
 
 use super::geometry::norm;
+use super::median;
 use crate::cholesky::Cholesky;
 use crate::color::double::{srgb_decode, srgb_encode};
 
@@ -312,19 +313,15 @@ fn ambient(papers: &[Paper], shared: &[f64; SHARED]) -> f64 {
         })
         .collect();
     // The median slope of pairs and the median intercept: a quarter of the places may be wrong.
-    let median = |mut values: Vec<f64>| {
-        let middle = values.len() / 2;
-        if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
-    };
     let pairs = places.iter().enumerate().flat_map(|(i, a)| places[..i].iter().map(move |b| (a, b)));
     // Pairs as bright as each other say nothing of the slope.
     let far = pairs.filter(|(a, b)| (a[0] - b[0]).abs() > 0.1 * a[0].max(b[0]));
-    let slope = median(far.map(|(a, b)| (a[1] - b[1]) / (a[0] - b[0])).collect());
+    let slope = median(far.map(|(a, b)| (a[1] - b[1]) / (a[0] - b[0]))).unwrap_or_default();
     if slope <= 0.0 {
         return 0.0;
     }
-    let rest = median(places.iter().map(|place| place[1] - slope * place[0]).collect());
-    let all = median(places.iter().map(|place| place[1]).collect());
+    let rest = median(places.iter().map(|place| place[1] - slope * place[0])).unwrap_or_default();
+    let all = median(places.iter().map(|place| place[1])).unwrap_or_default();
     if all > 0.0 { (rest / all).max(0.0) } else { 0.0 }
 }
 

@@ -4,6 +4,7 @@
 //! nearer to the lower of both.
 
 use super::geometry::norm;
+use super::median;
 use super::report::Missing;
 use crate::shot::Shot;
 
@@ -20,9 +21,7 @@ pub fn highlight(shot: &Shot) -> [f64; 2] {
 
 /// What `shots` of a patch of this width leave open.
 pub fn missing(shots: &[Shot], patch: f64) -> Vec<Missing> {
-    let mut distances: Vec<f64> = shots.iter().map(|shot| norm(shot.camera)).collect();
-    distances.sort_by(f64::total_cmp);
-    let Some(&distance) = distances.get(distances.len() / 2) else { return Vec::new() };
+    let Some(distance) = median(shots.iter().map(|shot| norm(shot.camera))) else { return Vec::new() };
     let highlights: Vec<[f64; 2]> =
         shots.iter().map(highlight).filter(|at| at.iter().all(|x| x.abs() <= patch / 2.0)).collect();
     let mut found = Vec::new();

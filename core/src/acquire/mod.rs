@@ -192,3 +192,11 @@ pub fn acquire(photos: &[PathBuf], options: &AcquireOptions, progress: &mut Prog
         Err(Error::invalid("acquire", reason))
     }
 }
+
+/// The middle one of `values`, the upper one of two; `None` where there are none.
+#[cfg(feature = "acquire")]
+fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.into_iter().collect();
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}

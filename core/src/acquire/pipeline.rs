@@ -17,7 +17,7 @@ use super::rectify::{ToneTable, View, decoding, grey, pixels_across, rectified};
 use super::report::{LeftOut, LensReport, PhotoReport, Report};
 use super::sheet::Sheet;
 use super::tags::{self, Detection, Found, Line, detect};
-use super::{AcquireOptions, Acquisition, Reference, assumptions, missing, save};
+use super::{AcquireOptions, Acquisition, Reference, assumptions, median, missing, save};
 use crate::cancel::CancelToken;
 use crate::capture::{Acquired, AcquiredPhoto, Capture, Photo};
 use crate::color::{Matrix, Transfer};
@@ -211,9 +211,7 @@ struct Lit {
 /// Why a photo cannot be used whose paper is not lit as the flash would, while that of the others is.
 fn other_light(light: &[Lit]) -> Vec<Option<String>> {
     let errors: Vec<(usize, f64)> = light.iter().enumerate().filter_map(|(i, light)| Some((i, light.error?))).collect();
-    let mut sorted: Vec<f64> = errors.iter().map(|&(_, error)| error).collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or_default();
+    let usual = median(errors.iter().map(|&(_, error)| error)).unwrap_or_default();
     let mut reasons = vec![None; light.len()];
     for (i, error) in errors.into_iter().filter(|&(_, error)| error > PAPER_ERROR_MAX && error > ERROR_RATIO * usual) {
         reasons[i] = Some(format!(
@@ -687,11 +685,7 @@ fn ratios([red, green, blue]: [f64; 3]) -> [f64; 2] {
 /// The medians of [`ratios`].
 fn usual_white(light: impl Iterator<Item = [f64; 3]>) -> [f64; 2] {
     let all: Vec<[f64; 2]> = light.map(ratios).collect();
-    [0, 1].map(|i| {
-        let mut values: Vec<f64> = all.iter().map(|ratios| ratios[i]).collect();
-        let middle = values.len() / 2;
-        if values.is_empty() { 1.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
-    })
+    [0, 1].map(|i| median(all.iter().map(|ratios| ratios[i])).unwrap_or(1.0))
 }
 
 /// How far a light's colour is from what is usual, as a share.

@@ -6,6 +6,7 @@
 use std::ops::Range;
 
 use super::geometry::Homography;
+use super::median;
 use super::sheet::{CELLS, DATA_CELLS, Sheet, Tag};
 use crate::cancel::CancelToken;
 use crate::error::Result;
@@ -329,12 +330,12 @@ fn read(picture: &Grey, corners: &[[f64; 2]; 4], sheet: &Sheet) -> Option<Readin
     let last = CELLS as isize - 1;
     let ring = |from: isize, to: isize| {
         let along = move |i: isize| [(from, i), (i + 1, from), (to, i + 1), (i, to)];
-        (from..to).flat_map(along).map(|(row, column)| cell(row, column)).collect::<Vec<f64>>()
+        (from..to).flat_map(along).map(|(row, column)| cell(row, column))
     };
-    let (black, white) = (median(ring(0, last)), median(ring(-1, last + 1)));
+    let (black, white) = (median(ring(0, last))?, median(ring(-1, last + 1))?);
     let middle = (black + white) / 2.0;
     let is_readable = white - black > CONTRAST_MIN * white
-        && ring(0, last).iter().filter(|&&value| value > middle).count() <= WRONG_BORDER_MAX;
+        && ring(0, last).filter(|&value| value > middle).count() <= WRONG_BORDER_MAX;
     if !is_readable {
         return None;
     }
@@ -379,11 +380,6 @@ fn wrong_cells(tag: &Tag, cells: &[[bool; DATA_CELLS]; DATA_CELLS], turns: usize
     wrong
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
 /// Measures the edges of a tag whose corners are known to a pixel or two of the picture that was searched.
 fn measured(photo: &Grey, index: usize, mut corners: [[f64; 2]; 4]) -> Option<Found> {
     let mut edges: [Vec<[f64; 2]>; 4] = Default::default();
@@ -396,7 +392,7 @@ fn measured(photo: &Grey, index: usize, mut corners: [[f64; 2]; 4]) -> Option<Fo
         for i in 0..4 {
             corners[i] = lines[(i + 3) % 4].meet(&lines[i])?;
         }
-        blur = median(vec![a.1, b.1, c.1, d.1]);
+        blur = median([a.1, b.1, c.1, d.1])?;
         edges = [a.0, b.0, c.0, d.0];
     }
     Some(Found { index, corners, edges, blur })
@@ -453,7 +449,10 @@ fn edge(photo: &Grey, a: [f64; 2], b: [f64; 2]) -> Option<(Vec<[f64; 2]>, f64)> 
             (points.iter().map(|&point| line.distance(point).powi(2)).sum::<f64>() / points.len() as f64).sqrt();
         points.retain(|&point| line.distance(point).abs() <= EDGE_OUTLIER * spread.max(0.05));
     }
-    (points.len() >= EDGE_POINTS_MIN).then(|| (points, median(blurs)))
+    if points.len() < EDGE_POINTS_MIN {
+        return None;
+    }
+    Some((points, median(blurs)?))
 }
 
 /// A line: the points p with `normal . p = offset`.

@@ -6,7 +6,6 @@ use std::path::PathBuf;
 /// A file or folder of the measuring data that lies beside the repository in `shared/`, or `None` (with a message) where there is none.
 ///
 /// Set `SVBRDF_GCN_REQUIRE_SHARED=1` to turn its absence into a failure.
-#[allow(dead_code, reason = "not every test needs measuring data")]
 pub fn shared(path: &str) -> Option<PathBuf> {
     let manifest = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     let found =
@@ -21,16 +20,13 @@ pub fn shared(path: &str) -> Option<PathBuf> {
 }
 
 /// A file under `tests/fixtures` of this repository.
-#[allow(dead_code, reason = "not every test needs fixtures")]
 pub fn fixture(path: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures").join(path)
 }
 
 /// A safetensors file of expected values.
-#[allow(dead_code)]
 pub struct Expected(Vec<u8>);
 
-#[allow(dead_code)]
 impl Expected {
     /// Reads the file.
     pub fn open(path: &std::path::Path) -> Self {
@@ -57,7 +53,6 @@ impl Expected {
 }
 
 /// Length of the difference over length of `expected`.
-#[allow(dead_code)]
 pub fn relative_l2(got: &[f32], expected: &[f64]) -> f64 {
     assert_eq!(got.len(), expected.len());
     let off: f64 = got.iter().zip(expected).map(|(&got, expected)| (f64::from(got) - expected).powi(2)).sum();
