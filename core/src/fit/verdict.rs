@@ -465,10 +465,10 @@ mod tests {
         assert_eq!((bright.grade, codes(&bright)), (Grade::Usable, vec!["light_wrong"]));
         let mirror = judged(&capture, |evidence| evidence.black_share = 0.9);
         assert_eq!((mirror.grade, codes(&mirror)), (Grade::Usable, vec!["highlight_unseen"]));
-        const GAINS: [f64; 5] = [1.0, 1.3499, 1.0, 0.9, 1.0];
+        const GAINS: [f64; 5] = [1.0, 2.013, 1.0, 0.9, 1.0];
         let bright = judged(&capture, |evidence| evidence.gains = Some(&GAINS));
         assert_eq!(codes(&bright), ["light_wrong"]);
-        assert!(bright.reasons[0].text.starts_with("[0.0, 0.3, 2.0]: its light is 1.35 times"), "{bright:?}");
+        assert!(bright.reasons[0].text.starts_with("[0.0, 0.3, 2.0]: its light is 2.01 times"), "{bright:?}");
     }
 
     #[test]

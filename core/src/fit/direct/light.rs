@@ -12,10 +12,8 @@ use crate::maps::Maps;
 use crate::render::{encode_radiance, render_maps};
 use crate::shot::Shot;
 
-/// Share of an estimated deviation that is believed: what the maps cannot explain yet looks like other light.
-const BELIEVED: f64 = 0.7;
-/// Largest deviation, as a logarithm: a factor of 1.35.
-const LIMIT: f64 = 0.3;
+/// Largest deviation that is granted, as a logarithm: a factor of 2.
+const LIMIT: f64 = 0.7;
 /// Differences of codes beyond this count less and less (Cauchy).
 const OUTLIER: f64 = 0.1;
 /// Photos below which nothing is estimated: with two, what differs is as likely the surface.
@@ -33,7 +31,7 @@ pub(super) fn refined(capture: &Capture, maps: &Maps<f32>, refine: Refine) -> Re
     let log = |(photo, shot)| log_gain(photo, shot, capture.patch_size(), maps);
     let logs = capture.photos().iter().zip(&shots).map(log).collect::<Result<Vec<f64>>>()?;
     let mean = logs.iter().sum::<f64>() / count as f64;
-    Ok(shots.iter().zip(logs).map(|(shot, log)| lit(shot, believed(log - mean))).collect())
+    Ok(shots.iter().zip(logs).map(|(shot, log)| lit(shot, granted(log - mean))).collect())
 }
 
 /// A factor on the light of one photo that `maps` have not seen; theirs are near 1.
@@ -42,7 +40,7 @@ pub(super) fn held_out_gain(capture: &Capture, photo: usize, maps: &Maps<f32>) -
         return Ok(1.0);
     }
     let photo = &capture.photos()[photo];
-    Ok(believed(log_gain(photo, &photo.shot, capture.patch_size(), maps)?))
+    Ok(granted(log_gain(photo, &photo.shot, capture.patch_size(), maps)?))
 }
 
 /// The shots as `capture` states them.
@@ -62,8 +60,8 @@ pub(crate) fn at_limit(gain: f64) -> bool {
     gain.ln().abs() > 0.99 * LIMIT
 }
 
-fn believed(log: f64) -> f64 {
-    (BELIEVED * log).clamp(-LIMIT, LIMIT).exp()
+fn granted(log: f64) -> f64 {
+    log.clamp(-LIMIT, LIMIT).exp()
 }
 
 fn log_gain(photo: &Photo, shot: &Shot, patch_size: f64, maps: &Maps<f32>) -> Result<f64> {
@@ -106,7 +104,7 @@ fn code_ratio(photo: &Photo, rendering: &[f32]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{BELIEVED, gain, refined};
+    use super::{gain, refined};
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::fit::options::Refine;
@@ -149,14 +147,14 @@ mod tests {
     }
 
     #[test]
-    fn other_light_is_found_as_far_as_it_is_believed() {
+    fn other_light_is_found() {
         let maps = maps();
         let truth = [0.9f64, 1.2, 1.0, 0.95];
         let mean = truth.iter().map(|t| t.ln()).sum::<f64>() / 4.0;
         let capture = capture(&maps, &truth);
         let found = gains(&capture, &maps);
         for (found, truth) in found.iter().zip(truth) {
-            assert!((found.ln() - BELIEVED * (truth.ln() - mean)).abs() < 0.01, "{found} {truth}");
+            assert!((found.ln() - (truth.ln() - mean)).abs() < 0.01, "{found} {truth}");
         }
         let lit = refined(&capture, &maps, Refine::Light).unwrap();
         assert_eq!(lit[1].camera, capture.photos()[1].shot.camera);
