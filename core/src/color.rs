@@ -4,6 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::image::Image;
 
+/// Exponent of `gamma2.2`: of photos, of the codes of albedos and roughness, and of the codes in which errors are measured.
+pub(crate) const GAMMA: f64 = 2.2;
+
 /// How the pixel values of a photo file relate to linear radiance.
 ///
 /// The function is always stated, never guessed: captures of the literature use gamma 2.2, cameras give sRGB or raw linear files.
@@ -38,7 +41,7 @@ impl Transfer {
     /// Linear value of a stored one. Negative values are kept for `Linear` and read as 0 otherwise.
     pub fn decode(self, stored: f32) -> f32 {
         match self {
-            Self::Gamma22 => stored.max(0.0).powf(2.2),
+            Self::Gamma22 => stored.max(0.0).powf(GAMMA as f32),
             Self::Srgb => single::srgb_decode(stored),
             Self::Linear => stored,
         }
@@ -47,7 +50,7 @@ impl Transfer {
     /// Stored value of a linear one; the inverse of [`Transfer::decode`].
     pub fn encode(self, linear: f32) -> f32 {
         match self {
-            Self::Gamma22 => linear.max(0.0).powf(1.0 / 2.2),
+            Self::Gamma22 => linear.max(0.0).powf(1.0 / GAMMA as f32),
             Self::Srgb => single::srgb_encode(linear),
             Self::Linear => linear,
         }

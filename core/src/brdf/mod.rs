@@ -273,6 +273,13 @@ impl<L: Lanes, const ANISOTROPIC: bool> Frame<L, ANISOTROPIC> {
         frame
     }
 
+    /// A derivative by the unit normal where the stored tangent is held, from that where the frame turns without twisting, and that by a turn about the normal:
+    /// moving n along b turns the tangent by -n.T / T.t.
+    #[inline(always)]
+    fn hold_tangent(&self, by_turn: L, by_normal: [L; 3]) -> [L; 3] {
+        add_scaled(self.bitangent.unit(), -by_turn * self.turn_by_normal, by_normal)
+    }
+
     /// The unit vector of a direction in the frame (tangent, bitangent, normal), given its cosine.
     #[inline(always)]
     fn local(&self, direction: &Direction<L>, cosine: L) -> [L; 3] {
@@ -400,6 +407,12 @@ impl<L: Lanes> Response<L> {
         radiance
     }
 
+    /// Derivative of `lobe` by the unit normal, the stored tangent held.
+    #[inline(always)]
+    pub(crate) fn lobe_by_stored_normal<const ANISOTROPIC: bool>(&self, frame: &Frame<L, ANISOTROPIC>) -> [L; 3] {
+        if ANISOTROPIC { frame.hold_tangent(self.lobe_by_turn, self.lobe_by_normal) } else { self.lobe_by_normal }
+    }
+
     #[inline(always)]
     fn fresnel_of(&self, surface: &Surface<L>, channel: usize) -> L {
         (L::splat(1.0) - surface.specular[channel]).mul_add(self.fresnel, surface.specular[channel])
@@ -454,10 +467,8 @@ impl<L: Lanes> FrameGradient<L> {
         let mut normal = add_scaled(unit, -dot(unit, self.normal), self.normal);
         let mut tangent = [L::splat(0.0); 3];
         if ANISOTROPIC {
-            // Moving n along b with the stored tangent held turns the tangent by -n.T / T.t.
-            let bitangent = frame.bitangent.unit();
-            normal = add_scaled(bitangent, -self.turn * frame.turn_by_normal, normal);
-            tangent = scale(bitangent, self.turn * frame.turn_by_tangent);
+            normal = frame.hold_tangent(self.turn, normal);
+            tangent = scale(frame.bitangent.unit(), self.turn * frame.turn_by_tangent);
         }
         Surface {
             diffuse: self.diffuse,

@@ -1,7 +1,7 @@
 //! One pixel in one photo: the encoded value that a renderer of the shading model gives, and its derivatives by the nine raw values.
 //!
-//! The model is that of [`crate::brdf`], isotropic, in the form that a pixel-by-pixel solver wants: everything that does not depend on
-//! the material stands in [`Geometry`], and derivatives come out as rows of a Jacobian instead of as the gradient of a loss. It is written for
+//! The model is [`crate::brdf`], whose parts are put together here in the form that a pixel-by-pixel solver wants: everything that does not
+//! depend on the material stands in [`Geometry`], and derivatives come out as rows of a Jacobian instead of as the gradient of a loss. It is written for
 //! [`Lanes`]: several pixels at a time. What touches a bundle is a loop or an inlined function, never a closure: those would be compiled for any processor.
 
 #![allow(
@@ -10,48 +10,47 @@
     reason = "closures would not be compiled for the processor's lanes"
 )]
 
-use crate::brdf::real::{LANES_MAX, Lanes, Real, cross, dot, scale};
+use crate::brdf::real::{LANES_MAX, Lanes, Real, scale};
+use crate::brdf::{self, Directions, Frame, Response};
 use crate::capture::Capture;
+use crate::color::GAMMA;
 use crate::raw::{NORMAL, RAW, ROUGHNESS, SPECULAR};
-use crate::render::encode;
+use crate::render::{encode, offset};
 use crate::shot::Shot;
 
-/// Exponent of the codes of albedos and roughness.
-const GAMMA: f64 = 2.2;
 /// Largest x^2 + y^2 of a normal.
 pub const FLAT_LIMIT: f64 = 0.998;
 const INVERSE_PI: f64 = std::f64::consts::FRAC_1_PI;
 
 /// What a pixel's position and a photo's camera and light make of the shading model.
-#[derive(Clone, Copy, Debug)]
-pub struct Geometry<L> {
-    view: [L; 3],
-    light: [L; 3],
-    half: [L; 3],
-    irradiance: [L; 3],
-    /// Weight of white in Schlick's term.
-    fresnel: L,
+#[derive(Clone, Copy)]
+pub struct Geometry<L: Lanes> {
+    directions: Directions<L>,
+    intensity: [L; 3],
 }
 
 /// A pixel's material: raw values decoded, and the derivatives of the decoding.
-#[derive(Clone, Copy, Debug)]
-pub struct Surface<L> {
-    diffuse: [L; 3],
-    specular: [L; 3],
+#[derive(Clone, Copy)]
+pub struct Surface<L: Lanes> {
+    maps: brdf::Surface<L>,
+    frame: LobeFrame<L>,
     d_diffuse: [L; 3],
     d_specular: [L; 3],
-    normal: [L; 3],
-    /// GGX width, the square of the perceptual roughness.
-    alpha: L,
-    d_alpha: L,
-    /// Of a lobe that is not round.
-    stretch: Option<Stretch<L>>,
+    d_roughness: [L; 2],
 }
 
-/// A lobe that is narrower by `factor` along the tangent and wider by it across.
+/// The frame of a lobe, round or stretched.
+#[derive(Clone, Copy)]
+pub enum LobeFrame<L: Lanes> {
+    Round(Frame<L, false>),
+    Stretched(Frame<L, true>),
+}
+
+/// A lobe that is narrower along the tangent and wider across.
 #[derive(Clone, Copy, Debug)]
 pub struct Stretch<L> {
-    factor: L,
+    /// What the roughness is multiplied by along the tangent and across.
+    factors: [L; 2],
     /// The tangent's x and y; it lies in the plane of the patch.
     tangent: [L; 2],
 }
@@ -66,12 +65,35 @@ impl<L: Lanes> Stretch<L> {
         let cosine = (half * (one + cosine2)).max(zero).sqrt();
         let sine = (half * (one - cosine2)).max(zero).sqrt();
         let sine = L::select(zero.gt(q), zero - sine, sine);
-        Self { factor: (length * L::splat(std::f64::consts::LOG2_E)).exp2(), tangent: [cosine, sine] }
+        let across = (length * L::splat(0.5 * std::f64::consts::LOG2_E)).exp2();
+        Self { factors: [one / across, across], tangent: [cosine, sine] }
     }
 }
 
 /// Length below which an anisotropy has no direction.
 const ROUND: f64 = 1e-6;
+
+/// A black surface with this unit normal and roughness, and the frame of its lobe.
+#[inline(always)]
+pub fn shape<L: Lanes>(normal: [L; 3], roughness: L, stretch: Option<Stretch<L>>) -> (brdf::Surface<L>, LobeFrame<L>) {
+    let zero = L::splat(0.0);
+    let mut maps = brdf::Surface {
+        diffuse: [zero; 3],
+        normal,
+        roughness: [roughness; 2],
+        specular: [zero; 3],
+        tangent: [zero; 3],
+    };
+    let frame = match stretch {
+        None => LobeFrame::Round(Frame::new(&maps)),
+        Some(Stretch { factors, tangent: [x, y] }) => {
+            maps.roughness = [roughness * factors[0], roughness * factors[1]];
+            maps.tangent = [x, y, zero];
+            LobeFrame::Stretched(Frame::new(&maps))
+        }
+    };
+    (maps, frame)
+}
 
 /// See [`Geometry::parts`].
 #[derive(Clone, Copy, Debug)]
@@ -86,17 +108,6 @@ pub struct Parts<L> {
 pub struct CodeJacobian<L> {
     pub code: [L; 3],
     pub jacobian: [[L; 5]; 3],
-}
-
-/// From (x, y, 0) to `place`, whose coordinates are divided by `length`.
-#[inline(always)]
-fn from_point<L: Lanes>(place: [f64; 3], length: f64, [x, y]: [L; 2]) -> [L; 3] {
-    [L::splat(place[0] / length) - x, L::splat(place[1] / length) - y, L::splat(place[2] / length)]
-}
-
-#[inline(always)]
-fn unit<L: Lanes>(a: [L; 3]) -> [L; 3] {
-    scale(a, L::splat(1.0) / dot(a, a).sqrt().max(L::splat(L::NORMAL_RANGE[0])))
 }
 
 /// What `value` says of `items`, of which there is at least one, for the elements of a bundle; where there are fewer the last one again.
@@ -151,202 +162,90 @@ impl<L: Lanes> Geometry<L> {
     /// The points (x, y, 0) in the photo `shot`. `length` is what x and y count in, in the unit of `shot`.
     #[inline(always)]
     pub fn new(shot: &Shot, length: f64, [x, y]: [L; 2]) -> Self {
-        let to_light = from_point(shot.light, length, [x, y]);
-        let distance2 = dot(to_light, to_light).max(L::splat(L::NORMAL_RANGE[0]));
-        let light = scale(to_light, L::splat(1.0) / distance2.sqrt());
-        let view = unit(from_point(shot.camera, length, [x, y]));
-        let half = unit([view[0] + light[0], view[1] + light[1], view[2] + light[2]]);
-        let v_dot_h = dot(view, half).max(L::splat(0.0)).min(L::splat(1.0));
-        let mut irradiance = [distance2; 3];
+        let camera = offset::<L>(shot.camera.map(|along| along / length), x.widen(), y.widen());
+        let directions = if shot.camera == shot.light {
+            Directions::collocated(camera)
+        } else {
+            let light = offset::<L>(shot.light.map(|along| along / length), x.widen(), y.widen());
+            Directions::separate(camera, light)
+        };
+        let mut intensity = [x; 3];
         for c in 0..3 {
-            irradiance[c] = L::splat(shot.light_intensity[c] / (length * length)) / distance2;
+            intensity[c] = L::splat(shot.light_intensity[c] / (length * length));
         }
-        let fresnel = (v_dot_h.mul_add(L::splat(-5.55473), L::splat(-6.98316)) * v_dot_h).exp2();
-        Self { view, light, half, irradiance, fresnel }
+        Self { directions, intensity }
     }
 
-    /// What a surface with this unit normal and GGX width sends to the camera, its lobe round or stretched, as parts: the radiance that the diffuse albedo `d` and the
+    /// What a surface with a lobe of this frame sends to the camera, as parts: the radiance that the diffuse albedo `d` and the
     /// specular albedo `s` give is `diffuse d (1 - s) + specular (s + (1 - s) fresnel)`, per channel. All 0 where it is turned away.
     #[inline(always)]
-    pub fn parts(&self, normal: [L; 3], alpha: L, stretch: Option<Stretch<L>>) -> Parts<L> {
-        let zero = L::splat(0.0);
-        let (n_dot_l, n_dot_v) = (dot(normal, self.light), dot(normal, self.view));
-        let facing = n_dot_l.gt(zero) & n_dot_v.gt(zero);
-        let lobe = match stretch {
-            None => {
-                let across = cross(normal, self.half);
-                gain(dot(across, across), n_dot_l, n_dot_v, alpha).0 * n_dot_l
-            }
-            // Nobody asks for its derivatives here, and nothing computes them.
-            Some(stretch) => self.stretched_lobe(normal, alpha, stretch, [n_dot_l, n_dot_v], [zero; 2]).lobe,
-        };
-        let lobe = L::select(facing, lobe, zero);
-        let matt = L::select(facing, n_dot_l * L::splat(INVERSE_PI), zero);
-        Parts { diffuse: scale(self.irradiance, matt), specular: scale(self.irradiance, lobe), fresnel: self.fresnel }
+    pub fn parts(&self, frame: &LobeFrame<L>) -> Parts<L> {
+        match frame {
+            LobeFrame::Round(frame) => self.parts_of(&Response::new(frame, &self.directions)),
+            LobeFrame::Stretched(frame) => self.parts_of(&Response::new(frame, &self.directions)),
+        }
+    }
+
+    #[inline(always)]
+    fn parts_of(&self, response: &Response<L>) -> Parts<L> {
+        let irradiance = scale(self.intensity, response.falloff);
+        Parts {
+            diffuse: scale(irradiance, response.cosine * L::splat(INVERSE_PI)),
+            specular: scale(irradiance, response.lobe),
+            fresnel: response.fresnel,
+        }
     }
 
     /// What the photo shows of `surface`.
     #[inline(always)]
     pub fn observe(&self, surface: &Surface<L>) -> CodeJacobian<L> {
-        let (zero, one) = (L::splat(0.0), L::splat(1.0));
-        let Surface { normal, alpha, .. } = *surface;
-        let (n_dot_l, n_dot_v) = (dot(normal, self.light), dot(normal, self.view));
-        let facing = n_dot_l.gt(zero) & n_dot_v.gt(zero);
-        // By the components of the normal, z following from x and y.
-        let (tx, ty) = (normal[0] / normal[2], normal[1] / normal[2]);
-        let d_l = along(self.light, tx, ty);
-        let Lobe { lobe, d_normal, d_alpha } = match surface.stretch {
-            None => self.round_lobe(normal, alpha, [n_dot_l, n_dot_v], [tx, ty]),
-            Some(stretch) => self.stretched_lobe(normal, alpha, stretch, [n_dot_l, n_dot_v], [tx, ty]),
-        };
+        match &surface.frame {
+            LobeFrame::Round(frame) => self.observe_lobe(surface, frame),
+            LobeFrame::Stretched(frame) => self.observe_lobe(surface, frame),
+        }
+    }
 
-        let matt_part = n_dot_l * L::splat(INVERSE_PI);
+    #[inline(always)]
+    fn observe_lobe<const ANISOTROPIC: bool>(
+        &self,
+        surface: &Surface<L>,
+        frame: &Frame<L, ANISOTROPIC>,
+    ) -> CodeJacobian<L> {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let brdf::Surface { diffuse, specular, normal, .. } = surface.maps;
+        let response = Response::new(frame, &self.directions);
+        let radiance = response.radiance(&surface.maps, self.intensity);
+        let d_cosine = along(response.cosine_by_normal, normal);
+        let d_lobe = along(response.lobe_by_stored_normal(frame), normal);
+        let [x, y] = response.lobe_by_roughness;
+        let d_roughness = x.mul_add(surface.d_roughness[0], y * surface.d_roughness[1]);
+        let matt_part = response.cosine * L::splat(INVERSE_PI);
+
         let mut seen = CodeJacobian { code: [zero; 3], jacobian: [[zero; 5]; 3] };
         for c in 0..3 {
-            let (d, s, e) = (surface.diffuse[c], surface.specular[c], self.irradiance[c]);
+            let (d, s) = (diffuse[c], specular[c]);
             let matt = d * (one - s) * L::splat(INVERSE_PI);
-            let reflectance = (one - s).mul_add(self.fresnel, s);
-            let (code, slope) = encode((matt * n_dot_l + reflectance * lobe) * e);
-            let slope = slope * e;
-            seen.code[c] = L::select(facing, code, zero);
-            let derivatives = [
+            let reflectance = (one - s).mul_add(response.fresnel, s);
+            let (code, slope) = encode(radiance[c]);
+            let slope = slope * self.intensity[c] * response.falloff;
+            seen.code[c] = code;
+            seen.jacobian[c] = [
                 slope * (one - s) * matt_part * surface.d_diffuse[c],
-                slope * (matt * d_l[0] + reflectance * d_normal[0]),
-                slope * (matt * d_l[1] + reflectance * d_normal[1]),
-                slope * reflectance * d_alpha * surface.d_alpha,
-                slope * ((one - self.fresnel) * lobe - d * matt_part) * surface.d_specular[c],
+                slope * (matt * d_cosine[0] + reflectance * d_lobe[0]),
+                slope * (matt * d_cosine[1] + reflectance * d_lobe[1]),
+                slope * reflectance * d_roughness,
+                slope * ((one - response.fresnel) * response.lobe - d * matt_part) * surface.d_specular[c],
             ];
-            for i in 0..5 {
-                seen.jacobian[c][i] = L::select(facing, derivatives[i], zero);
-            }
         }
         seen
     }
-
-    /// A round lobe at a unit normal whose slopes are `tx` and `ty`.
-    #[inline(always)]
-    fn round_lobe(&self, normal: [L; 3], alpha: L, [n_dot_l, n_dot_v]: [L; 2], [tx, ty]: [L; 2]) -> Lobe<L> {
-        let (zero, one, two, four) = (L::splat(0.0), L::splat(1.0), L::splat(2.0), L::splat(4.0));
-        let h = self.half;
-        let n_dot_h = dot(normal, h);
-        // |n x h|^2 is 1 - (n.h)^2.
-        let across = cross(normal, h);
-        let (gain, q, a, b) = gain(dot(across, across), n_dot_l, n_dot_v, alpha);
-        let lobe = gain * n_dot_l;
-        let (d_l, d_v, d_h) = (along(self.light, tx, ty), along(self.view, tx, ty), along(h, tx, ty));
-        let narrow = (one - alpha) * (one + alpha);
-        let of_q = four * n_dot_h * narrow / q;
-        let masked = L::splat(0.5).mul_add(-alpha, one);
-        let mut d_normal = [zero; 2];
-        for i in 0..2 {
-            let of_masking = masked * (d_v[i] / a + d_l[i] / b);
-            d_normal[i] = lobe * (of_q * d_h[i] - of_masking) + gain * d_l[i];
-        }
-        let d_alpha = lobe
-            * (two / alpha
-                - four * alpha * n_dot_h * n_dot_h / q
-                - L::splat(0.5) * ((one - n_dot_v) / a + (one - n_dot_l) / b));
-        Lobe { lobe, d_normal, d_alpha }
-    }
-
-    /// Likewise one that is not round: anisotropic GGX, separable Smith.
-    #[inline(always)]
-    fn stretched_lobe(
-        &self,
-        normal: [L; 3],
-        alpha: L,
-        stretch: Stretch<L>,
-        [n_dot_l, n_dot_v]: [L; 2],
-        [tx, ty]: [L; 2],
-    ) -> Lobe<L> {
-        let (zero, one, two) = (L::splat(0.0), L::splat(1.0), L::splat(2.0));
-        let alphas = [alpha / stretch.factor, alpha * stretch.factor];
-        let stored = [stretch.tangent[0], stretch.tangent[1], zero];
-        let across = cross(normal, stored);
-        let length = dot(across, across).sqrt();
-        let bitangent = scale(across, one / length);
-        let tangent = cross(bitangent, normal);
-        // Moving the normal along the bitangent, the stored tangent held, turns the frame about the normal by so much.
-        let turn = dot(normal, stored) / length;
-
-        let half = [dot(tangent, self.half), dot(bitangent, self.half), dot(normal, self.half)];
-        let [x, y] = [half[0] / alphas[0], half[1] / alphas[1]];
-        let wide = x.mul_add(x, y * y);
-        let q = half[2].mul_add(half[2], wide);
-        let mut value = L::splat(INVERSE_PI) / (alphas[0] * alphas[1] * q * q);
-        // Derivatives of the logarithm of the lobe without its cosine.
-        let mut d_ln_alpha = L::splat(4.0) * wide / q - two;
-        let mut d_ln = [zero; 2];
-        let moves = [[one, zero, zero - tx], [zero, one, zero - ty]];
-        for i in 0..2 {
-            let along = dot(tangent, moves[i]);
-            let across = dot(bitangent, moves[i]);
-            let turned = zero - across * turn;
-            let d_t = across_turn(half[1], turned, half[2], along);
-            let d_b = zero - half[0] * turned - half[2] * across;
-            let d_n = dot(self.half, moves[i]);
-            let d_q = two * (x * d_t / alphas[0] + y * d_b / alphas[1] + half[2] * d_n);
-            d_ln[i] = zero - two * d_q / q;
-        }
-        let (directions, cosines) = ([self.view, self.light], [n_dot_v, n_dot_l]);
-        for k in 0..2 {
-            let (direction, cosine) = (directions[k], cosines[k]);
-            let [t, b] = [dot(tangent, direction), dot(bitangent, direction)];
-            let [x, y] = [alphas[0] * t, alphas[1] * b];
-            let wide = x.mul_add(x, y * y);
-            let lambda = cosine.mul_add(cosine, wide).sqrt();
-            let inverse = one / (cosine + lambda);
-            value = value * inverse;
-            d_ln_alpha = d_ln_alpha - wide * inverse / lambda;
-            for i in 0..2 {
-                let along = dot(tangent, moves[i]);
-                let across = dot(bitangent, moves[i]);
-                let turned = zero - across * turn;
-                let d_t = across_turn(b, turned, cosine, along);
-                let d_b = zero - t * turned - cosine * across;
-                let d_n = dot(direction, moves[i]);
-                let d_lambda = (x * alphas[0] * d_t + y * alphas[1] * d_b + cosine * d_n) / lambda;
-                d_ln[i] = d_ln[i] - (d_n + d_lambda) * inverse;
-            }
-        }
-        let lobe = value * n_dot_l;
-        let d_l = along(self.light, tx, ty);
-        Lobe {
-            lobe,
-            d_normal: [lobe * d_ln[0] + value * d_l[0], lobe * d_ln[1] + value * d_l[1]],
-            d_alpha: lobe * d_ln_alpha / alpha,
-        }
-    }
 }
 
-/// How a direction's part along the tangent changes where the frame turns by `turned` about the normal and leans by `along` towards the tangent.
+/// Of the derivative by a unit normal that by its x and y, z following from them.
 #[inline(always)]
-fn across_turn<L: Lanes>(bitangent_part: L, turned: L, normal_part: L, along: L) -> L {
-    bitangent_part * turned - normal_part * along
-}
-
-/// Distribution and masking over four times the cosines, times the light's cosine; its derivatives by the normal's x and y and by alpha.
-struct Lobe<L> {
-    lobe: L,
-    d_normal: [L; 2],
-    d_alpha: L,
-}
-
-/// How the product of `w` with the normal changes with the normal's x and y, where z follows from them.
-#[inline(always)]
-fn along<L: Lanes>(w: [L; 3], tx: L, ty: L) -> [L; 2] {
-    [w[0] - w[2] * tx, w[1] - w[2] * ty]
-}
-
-/// Distribution and masking over four times the cosines, and the parts that its derivatives are made of: `q = |n x h|^2 (1 - alpha^2) + alpha^2`
-/// and the two denominators of the masking.
-#[inline(always)]
-fn gain<L: Lanes>(sine2: L, n_dot_l: L, n_dot_v: L, alpha: L) -> (L, L, L, L) {
-    let one = L::splat(1.0);
-    let q = sine2.min(one).mul_add((one - alpha) * (one + alpha), alpha * alpha);
-    let k = L::splat(0.5) * alpha;
-    let (a, b) = (n_dot_v.mul_add(one - k, k), n_dot_l.mul_add(one - k, k));
-    (alpha * alpha / (L::splat(4.0 / INVERSE_PI) * q * q * a * b), q, a, b)
+fn along<L: Lanes>(slope: [L; 3], normal: [L; 3]) -> [L; 2] {
+    let by_z = slope[2] / normal[2];
+    [slope[0] - by_z * normal[0], slope[1] - by_z * normal[1]]
 }
 
 /// The inverse of an albedo's or roughness's code, `((raw + 1) / 2)^2.2`, and its slope.
@@ -361,29 +260,24 @@ impl<L: Lanes> Surface<L> {
     /// The surface of raw values within their limits, its lobe round or with this anisotropy.
     #[inline(always)]
     pub fn new(raw: &[L; RAW], anisotropy: Option<[L; 2]>) -> Self {
-        let zero = [L::splat(0.0); 3];
-        let (mut diffuse, mut specular, mut d_diffuse, mut d_specular) = (zero, zero, zero, zero);
-        for c in 0..3 {
-            (diffuse[c], d_diffuse[c]) = power(raw[c]);
-            (specular[c], d_specular[c]) = power(raw[SPECULAR + c]);
-        }
         let (x, y) = (raw[NORMAL], raw[NORMAL + 1]);
-        let (roughness, d_roughness) = power(raw[ROUGHNESS]);
-        let roughness = roughness.max(L::splat(crate::brdf::ROUGHNESS_MIN));
         let z2 = (L::splat(1.0) - x * x - y * y).max(L::splat(1.0 - FLAT_LIMIT));
-        Self {
-            diffuse,
-            specular,
-            d_diffuse,
-            d_specular,
-            normal: [x, y, z2.sqrt()],
-            alpha: roughness * roughness,
-            d_alpha: L::splat(2.0) * roughness * d_roughness,
-            stretch: match anisotropy {
-                None => None,
-                Some(vector) => Some(Stretch::new(vector)),
-            },
+        let (roughness, d_roughness) = power(raw[ROUGHNESS]);
+        let (stretch, d_roughness) = match anisotropy {
+            None => (None, [d_roughness; 2]),
+            Some(vector) => {
+                let stretch = Stretch::new(vector);
+                (Some(stretch), [d_roughness * stretch.factors[0], d_roughness * stretch.factors[1]])
+            }
+        };
+        let (mut maps, frame) = shape([x, y, z2.sqrt()], roughness, stretch);
+        let zero = [L::splat(0.0); 3];
+        let (mut d_diffuse, mut d_specular) = (zero, zero);
+        for c in 0..3 {
+            (maps.diffuse[c], d_diffuse[c]) = power(raw[c]);
+            (maps.specular[c], d_specular[c]) = power(raw[SPECULAR + c]);
         }
+        Self { maps, frame, d_diffuse, d_specular, d_roughness }
     }
 }
 
@@ -464,9 +358,9 @@ mod tests {
             let surface = Surface::new(&random(&mut rng), None);
             for shot in shots() {
                 let geometry = Geometry::<f64>::new(&shot, 1.0, [0.3, -0.4]);
-                let parts = geometry.parts(surface.normal, surface.alpha, surface.stretch);
+                let parts = geometry.parts(&surface.frame);
                 for (c, code) in geometry.observe(&surface).code.into_iter().enumerate() {
-                    let (d, s) = (surface.diffuse[c], surface.specular[c]);
+                    let (d, s) = (surface.maps.diffuse[c], surface.maps.specular[c]);
                     let sum = parts.diffuse[c] * d * (1.0 - s) + parts.specular[c] * (s + (1.0 - s) * parts.fresnel);
                     // Above the encoding's toe.
                     let expected = code.powf(2.2);

@@ -5,6 +5,7 @@
 use serde::Serialize;
 
 use crate::capture::{AcquiredPhoto, Capture, Photo};
+use crate::color::GAMMA;
 use crate::fit::direct::light;
 use crate::image::Image;
 use crate::render::encode_radiance;
@@ -28,7 +29,7 @@ const BLACK_SHARE: f64 = 0.5;
 /// How far the known points of an acquired photo are from where they should be, as a share of the patch's width, from which on its position is in doubt: a pixel of maps of 512.
 const ACQUIRED_POSITION: f64 = 1.0 / 512.0;
 /// Deviation of an acquired photo's paper from what one light explains from which on its light is in doubt: half of [`GOOD`] on white, in codes of gamma 2.2.
-const ACQUIRED_LIGHT: f64 = 2.2 * GOOD / 2.0;
+const ACQUIRED_LIGHT: f64 = GAMMA * GOOD / 2.0;
 /// The deviation of the photos' codes at which the finish believes them least.
 const UNEXPLAINED: f64 = 0.2;
 /// Angle in radians from the normal at which another photo is proposed, and how many directions are looked at.

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::{Grid, TILE, Tile, View, padded, planes, split_planes};
 use crate::brdf::real::{Arithmetic, Kernel, Lanes, Real, Wide};
 use crate::brdf::{Frame, FrameGradient};
+use crate::color::GAMMA;
 use crate::error::{Error, Result};
 use crate::maps::{Lobe, Maps};
 use crate::shot::Shot;
@@ -13,7 +14,6 @@ use crate::{memory, pool};
 /// Radiance below which [`encode_radiance`] leaves the power law: less than half of what the first code of an 8-bit file stands for.
 pub const TOE: f64 = 1e-6;
 
-const GAMMA: f64 = 2.2;
 /// Factor of the mean squared error, as in the released optimisation.
 const LOSS_SCALE: f64 = 1000.0;
 

@@ -203,7 +203,7 @@ impl View {
 
 /// The way from (x, y, 0) to `target`.
 #[inline(always)]
-fn offset<L: Lanes>(target: [f64; 3], x: L::Wide, y: L::Wide) -> [L::Wide; 3] {
+pub(crate) fn offset<L: Lanes>(target: [f64; 3], x: L::Wide, y: L::Wide) -> [L::Wide; 3] {
     [L::Wide::splat(target[0]) - x, L::Wide::splat(target[1]) - y, L::Wide::splat(target[2])]
 }
 

@@ -8,11 +8,11 @@ use std::f64::consts::TAU;
 use super::VALIDATION_SEED;
 use super::dice::{Dice, Purpose};
 use crate::brdf::{Surface, shade_point};
+use crate::color::Transfer;
 use crate::maps::{Lobe, Maps, NORMAL_PLANE};
 use crate::nn::{INPUTS, PhotoView};
 use crate::shot::Shot;
 
-const GAMMA: f32 = 2.2;
 /// Smallest share of the capture's width that is seen.
 const TILE_MIN: f32 = 0.1;
 /// Smallest z of a tilted sample's normals: grazing.
@@ -319,7 +319,7 @@ pub(super) fn write_input(captured: &Captured, directions: bool, out: &mut [f32]
         let view = PhotoView::new(&captured.stated.window.framed(shot), 2.0);
         for at in 0..pixels {
             let [x, y] = Window::WHOLE.position(at, size).map(f64::from);
-            let linear = [0, 1, 2].map(|channel| photo[channel * pixels + at].powf(GAMMA));
+            let linear = [0, 1, 2].map(|channel| Transfer::Gamma22.decode(photo[channel * pixels + at]));
             for (plane, value) in view.planes(linear, saturated[at], x, y).into_iter().enumerate() {
                 out[plane * pixels + at] = value;
             }
@@ -467,7 +467,7 @@ fn blur(photo: &mut [f32], size: usize, tap: f32) {
 
 /// Radiance as an 8-bit photo in gamma 2.2 stores it.
 fn stored(radiance: f32) -> f32 {
-    (radiance.clamp(0.0, 1.0).powf(1.0 / GAMMA) * 255.0).round() / 255.0
+    (Transfer::Gamma22.encode(radiance.clamp(0.0, 1.0)) * 255.0).round() / 255.0
 }
 
 /// Whether any channel of a pixel stands at the upper end; `photos` (N, 3, H, W).

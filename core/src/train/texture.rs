@@ -2,10 +2,10 @@
 
 use half::f16;
 
+use crate::color::Transfer;
 use crate::error::Result;
 use crate::maps::{Lobe, Maps};
 
-const GAMMA: f32 = 2.2;
 /// Values of a texel.
 const TEXEL: usize = 9;
 /// Pixels of the texture to one of the crop from which on the half resolution is sampled.
@@ -46,7 +46,7 @@ impl Texture {
         let side = maps.width().min(maps.height());
         let planes: [&[f32]; 10] = std::array::from_fn(|plane| maps.plane(plane));
         let texel = |at: usize| {
-            let code = |plane: usize| planes[plane][at].clamp(0.0, 1.0).powf(1.0 / GAMMA);
+            let code = |plane: usize| Transfer::Gamma22.encode(planes[plane][at].clamp(0.0, 1.0));
             let (diffuse, specular) = ([0, 1, 2].map(code), [7, 8, 9].map(code));
             let [r, g, b] = diffuse;
             let [x, y, z] = specular;
@@ -90,7 +90,7 @@ impl Texture {
             let (nx, ny) = (texel[3], texel[4]);
             let nz = (1.0 - nx * nx - ny * ny).max(0.01).sqrt();
             let length = (nx * nx + ny * ny + nz * nz).sqrt();
-            let linear = |code: f32| code.clamp(0.0, 1.0).powf(GAMMA);
+            let linear = |code: f32| Transfer::Gamma22.decode(code.clamp(0.0, 1.0));
             let values = [
                 linear(texel[0]),
                 linear(texel[1]),

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::place::placed;
 use crate::capture::{Capture, Photo};
+use crate::color::GAMMA;
 use crate::error::Result;
 use crate::fit::options::Refine;
 use crate::maps::Maps;
@@ -65,7 +66,7 @@ fn granted(log: f64) -> f64 {
 }
 
 fn log_gain(photo: &Photo, shot: &Shot, patch_size: f64, maps: &Maps<f32>) -> Result<f64> {
-    Ok(2.2 * code_ratio(photo, &render_maps(maps, patch_size, shot)?).ln())
+    Ok(GAMMA * code_ratio(photo, &render_maps(maps, patch_size, shot)?).ln())
 }
 
 /// `shot` under `gain` times its light.

@@ -17,8 +17,9 @@ use super::groups::Membership;
 use super::parameters::sum;
 use crate::brdf::real::{Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::capture::{Capture, Photo};
+use crate::color::GAMMA;
 use crate::fit::options::Reflectance;
-use crate::fit::shading::{Geometry, Parts, Stretch, bundle, saturated, unbundle};
+use crate::fit::shading::{Geometry, LobeFrame, Parts, Stretch, bundle, saturated, shape, unbundle};
 use crate::render::encode;
 
 /// Pixels of a group that are looked at.
@@ -41,7 +42,7 @@ const OUTLIER: f64 = 0.1;
 /// Largest diffuse albedo.
 const DIFFUSE_MAX: f64 = 0.95;
 /// Exponent of the squared slope of a code, by radiance; and the least radiance for which it is taken.
-const SLOPE_EXPONENT: f64 = 2.0 / 2.2 - 2.0;
+const SLOPE_EXPONENT: f64 = 2.0 / GAMMA - 2.0;
 const SLOPE_DARK: f64 = 1e-3;
 /// Pixels whose diffuse albedo one thread computes at a time.
 const PART: usize = 1024;
@@ -116,27 +117,22 @@ impl<L: Lanes> View<L> {
 
 /// What a surface sends to the camera in each of `views`, in `parts`.
 #[inline(always)]
-fn shade<L: Lanes>(views: &[View<L>], surface: &Facing<L>, alpha: L, parts: &mut Vec<Parts<L>>) {
+fn shade<L: Lanes>(views: &[View<L>], frame: &LobeFrame<L>, parts: &mut Vec<Parts<L>>) {
     parts.clear();
     for view in views {
-        parts.push(view.geometry.parts(surface.normal, alpha, surface.stretch));
+        parts.push(view.geometry.parts(frame));
     }
 }
 
-/// A [`Shape`] as it is shaded.
-struct Facing<L> {
-    normal: [L; 3],
-    stretch: Option<Stretch<L>>,
-}
-
-impl<L: Lanes> Facing<L> {
+impl Shape {
+    /// The lobe's frame on pixels with these slopes.
     #[inline(always)]
-    fn new(shape: Shape, slopes: [L; 2]) -> Self {
-        let stretch = match shape.anisotropy {
+    fn frame<L: Lanes>(&self, slopes: [L; 2], roughness: L) -> LobeFrame<L> {
+        let stretch = match self.anisotropy {
             None => None,
             Some([p, q]) => Some(Stretch::new([L::splat(p), L::splat(q)])),
         };
-        Self { normal: normal(slopes, shape.tilt), stretch }
+        shape(normal(slopes, self.tilt), roughness, stretch).1
     }
 }
 
@@ -223,8 +219,7 @@ impl<R: Real> Kernel<R> for Explain<'_> {
             for roughness in ROUGHNESSES.into_iter().step_by(step) {
                 let mut sums = [[L::splat(0.0); SPECULARS.len()]; 3];
                 for (views, slopes, counted) in &bundles {
-                    let surface = Facing::new(shape, *slopes);
-                    shade(views, &surface, L::splat(roughness * roughness), &mut parts);
+                    shade(views, &shape.frame(*slopes, L::splat(roughness)), &mut parts);
                     for &c in channels {
                         for i in (0..SPECULARS.len()).step_by(step) {
                             let s = L::splat(SPECULARS[i]);
@@ -382,8 +377,8 @@ impl<R: Real> Kernel<R> for Beside<'_> {
         for pixels in pixels.chunks(L::LANES) {
             let views = View::all(capture, &photos, pixels);
             let roughness: L = bundle(pixels, |&pixel| mixed(pixel, &|found| found.roughness));
-            let surface = Facing::new(Shape { tilt, anisotropy: None }, slopes_of(relief, pixels));
-            shade(&views, &surface, roughness * roughness, &mut parts);
+            let shape = Shape { tilt, anisotropy: None };
+            shade(&views, &shape.frame(slopes_of(relief, pixels), roughness), &mut parts);
             let mut albedo = [L::splat(0.0); 3];
             for c in 0..3 {
                 let specular = bundle(pixels, |&pixel| mixed(pixel, &|found| found.specular[c]));

@@ -6,12 +6,12 @@ use rayon::prelude::*;
 
 use super::config::{INPUTS, RATIO_MAX};
 use crate::capture::Photo;
+use crate::color::GAMMA;
 use crate::error::Result;
 use crate::nn::layout::Layout;
 use crate::nn::tape::{Planes, Pool};
 use crate::shot::Shot;
 
-const GAMMA: f64 = 2.2;
 /// Smallest radiance of the white surface, and smallest ratio to it.
 const WHITE_MIN: f64 = 1e-4;
 const RATIO_MIN: f32 = 1e-6;
