@@ -15,6 +15,10 @@ use crate::shot::Shot;
 
 /// Largest deviation that is granted, as a logarithm: a factor of 2.
 const LIMIT: f64 = 0.7;
+/// Standard deviation of a light before the photos, as a logarithm, and how many independent values all pixels of a photo count for: what is missed, is missed alike
+/// by many.
+const DEVIATION: f64 = 0.1;
+const EVIDENCE: f64 = 20.0;
 /// Differences of codes beyond this count less and less (Cauchy).
 const OUTLIER: f64 = 0.1;
 /// Photos below which nothing is estimated: with two, what differs is as likely the surface.
@@ -65,8 +69,12 @@ fn granted(log: f64) -> f64 {
     log.clamp(-LIMIT, LIMIT).exp()
 }
 
+/// The logarithm of the factor on a photo's light: what `maps` say of it against a Gaussian around the stated light. Of a photo that is well explained all is
+/// believed; where maps miss it by as much as it shows, as the dark photos of a mirror, hardly anything is.
 fn log_gain(photo: &Photo, shot: &Shot, patch_size: f64, maps: &Maps<f32>) -> Result<f64> {
-    Ok(GAMMA * code_ratio(photo, &render_maps(maps, patch_size, shot)?).ln())
+    let (ratio, variance) = code_ratio(photo, &render_maps(maps, patch_size, shot)?);
+    let [prior, variance] = [DEVIATION.powi(2), GAMMA * GAMMA * variance];
+    Ok(GAMMA * ratio.ln() * prior / (prior + variance))
 }
 
 /// `shot` under `gain` times its light.
@@ -74,8 +82,9 @@ pub(super) fn lit(shot: &Shot, gain: f64) -> Shot {
     Shot { light_intensity: shot.light_intensity.map(|intensity| intensity * gain), ..*shot }
 }
 
-/// The factor on the codes of `rendering` (three planes of radiance) that brings it nearest to the photo, where that is not saturated: reweighted least squares.
-fn code_ratio(photo: &Photo, rendering: &[f32]) -> f64 {
+/// The factor on the codes of `rendering` (three planes of radiance) that brings it nearest to the photo, where that is not saturated, by reweighted least squares;
+/// and the variance of its logarithm, infinite where nothing is rendered or seen.
+fn code_ratio(photo: &Photo, rendering: &[f32]) -> (f64, f64) {
     let pixels = photo.saturated.len();
     let codes: Vec<[f64; 2]> = (0..pixels)
         .into_par_iter()
@@ -86,28 +95,30 @@ fn code_ratio(photo: &Photo, rendering: &[f32]) -> f64 {
             [code(seen[0] + seen[1] + seen[2]), code((0..3).map(|c| rendering[c * pixels + p]).sum())]
         })
         .collect();
-    let mut ratio = 1.0;
+    let (mut ratio, mut variance) = (1.0, f64::INFINITY);
     for _ in 0..ROUNDS {
-        let (mut up, mut down) = (0.0, 0.0);
+        let (mut up, mut down, mut missed) = (0.0, 0.0, 0.0);
         for [seen, rendered] in &codes {
-            let weight = 1.0 / (1.0 + ((seen - ratio * rendered) / OUTLIER).powi(2));
+            let off = seen - ratio * rendered;
+            let weight = 1.0 / (1.0 + (off / OUTLIER).powi(2));
             up += weight * seen * rendered;
             down += weight * rendered * rendered;
+            missed += weight * off * off;
         }
-        // Nothing rendered, or nothing seen: that says nothing about the light.
         if !(up > 0.0 && down > 0.0) {
-            return 1.0;
+            return (1.0, f64::INFINITY);
         }
         ratio = up / down;
+        variance = missed / (down * ratio * ratio * EVIDENCE);
     }
-    ratio
+    (ratio, variance)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{gain, refined};
+    use super::{code_ratio, gain, log_gain, refined};
     use crate::capture::{Capture, Photo};
-    use crate::color::Transfer;
+    use crate::color::{GAMMA, Transfer};
     use crate::fit::options::Refine;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
@@ -160,6 +171,23 @@ mod tests {
         let lit = refined(&capture, &maps, Refine::Light).unwrap();
         assert_eq!(lit[1].camera, capture.photos()[1].shot.camera);
         assert_eq!(refined(&capture, &maps, Refine::None).unwrap()[1], capture.photos()[1].shot);
+    }
+
+    #[test]
+    fn a_photo_that_the_maps_miss_says_little_of_its_light() {
+        let maps = maps();
+        let stated = capture(&maps, &[1.0]);
+        // The share of the estimated light that is believed.
+        let believed = |factor: &dyn Fn(usize) -> f32| {
+            let mut photo = stated.photos()[0].clone();
+            photo.image.data_mut().iter_mut().enumerate().for_each(|(i, value)| *value *= factor(i / 3));
+            let (ratio, _) = code_ratio(&photo, &render_maps(&maps, 2.0, &photo.shot).unwrap());
+            let log = log_gain(&photo, &photo.shot, 2.0, &maps).unwrap();
+            assert!(log > 0.2, "{log}");
+            log / (GAMMA * ratio.ln())
+        };
+        let (even, uneven) = (believed(&|_| 1.5), believed(&|pixel| 0.3 * (pixel * 5 % 11) as f32));
+        assert!(even > 0.99 && uneven < 0.7, "{even} {uneven}");
     }
 
     #[test]
