@@ -25,6 +25,24 @@ pub fn encode_radiance<T: Real>(radiance: T) -> T {
     encode(radiance).0
 }
 
+/// [`encode_radiance`] of all `values`, many at a time.
+pub(crate) fn encode_all(values: &mut [f32]) {
+    f32::run(Encode(values));
+}
+
+struct Encode<'a>(&'a mut [f32]);
+
+impl Kernel<f32> for Encode<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes<Scalar = f32>>(self) {
+        for values in self.0.chunks_mut(L::LANES) {
+            encode(L::load(values)).0.store(values);
+        }
+    }
+}
+
 /// [`encode_radiance`] and its slope.
 #[inline(always)]
 pub(crate) fn encode<L: Lanes>(radiance: L) -> (L, L) {

@@ -22,8 +22,8 @@ use crate::{memory, pool};
 #[doc(hidden)]
 pub use tape::photo_loss_on_tape;
 
-pub(crate) use loss::encode;
 pub use loss::{TOE, Target, encode_radiance, photo_loss};
+pub(crate) use loss::{encode, encode_all};
 
 /// Pixels of a chunk of work, rounded to whole rows.
 const CHUNK_PIXELS: usize = 4096;

@@ -2,7 +2,9 @@
 
 use rayon::prelude::*;
 
+use crate::brdf::real::{Kernel, Lanes, Real};
 use crate::color::Transfer;
+use crate::fit::shading::{bundle, unbundle};
 
 /// Pixels looked at to find the groups; more would only take longer.
 const SAMPLES: usize = 16_384;
@@ -27,7 +29,13 @@ pub fn soft_groups(colors: &[f32], pixels: usize, groups: usize, seed: u64) -> (
     let stride = pixels.div_ceil(SAMPLES);
     let samples: Vec<[f32; 3]> = (0..pixels).step_by(stride).map(color).collect();
     let centers = lloyd(&samples, seed_centers(&samples, groups, seed));
-    let memberships = (0..pixels).into_par_iter().map(|p| membership(color(p), &centers)).collect();
+    let of_part = |part: usize| {
+        let colors: Vec<[f32; 3]> = (part * PART..pixels.min((part + 1) * PART)).map(color).collect();
+        let nearest = f32::run(Nearest { colors: &colors, centers: &centers });
+        nearest.into_iter().map(membership).collect::<Vec<_>>()
+    };
+    let memberships: Vec<Vec<Membership>> = (0..pixels.div_ceil(PART)).into_par_iter().map(of_part).collect();
+    let memberships = memberships.concat();
     (memberships, centers.len())
 }
 
@@ -36,17 +44,50 @@ fn distance2(a: [f32; 3], b: [f32; 3]) -> f32 {
     x * x + y * y + z * z
 }
 
-/// Gaussian weights around the two nearest centers, relative to the nearest one so that none underflows to 0 / 0.
-fn membership(color: [f32; 3], centers: &[[f32; 3]]) -> Membership {
-    let (mut nearest, mut second) = ((0, f32::INFINITY), (0, f32::INFINITY));
-    for (k, &center) in (0..).zip(centers) {
-        let candidate = (k, distance2(color, center));
-        if candidate.1 < nearest.1 {
-            (nearest, second) = (candidate, nearest);
-        } else if candidate.1 < second.1 {
-            second = candidate;
+/// The two nearest of `centers` to each of `colors`, and their squared distances; infinite where there is no second.
+struct Nearest<'a> {
+    colors: &'a [[f32; 3]],
+    centers: &'a [[f32; 3]],
+}
+
+impl Kernel<f32> for Nearest<'_> {
+    type Output = Vec<[(u32, f32); 2]>;
+
+    #[inline(always)]
+    fn run<L: Lanes<Scalar = f32>>(self) -> Self::Output {
+        let mut found = Vec::with_capacity(self.colors.len());
+        let far = L::splat(f64::INFINITY);
+        for colors in self.colors.chunks(L::LANES) {
+            let color: [L; 3] =
+                [bundle(colors, |color| color[0]), bundle(colors, |color| color[1]), bundle(colors, |color| color[2])];
+            // Indices are small enough for single precision.
+            let mut nearest = [L::splat(0.0), far];
+            let mut second = nearest;
+            for (k, center) in self.centers.iter().enumerate() {
+                let mut distance = L::splat(0.0);
+                for c in 0..3 {
+                    let off = color[c] - L::splat(center[c].into());
+                    distance = off.mul_add(off, distance);
+                }
+                let candidate = [L::splat(k as f64), distance];
+                let (first, next) = (nearest[1].gt(distance), second[1].gt(distance));
+                for i in 0..2 {
+                    second[i] = L::select(first, nearest[i], L::select(next, candidate[i], second[i]));
+                    nearest[i] = L::select(first, candidate[i], nearest[i]);
+                }
+            }
+            let [nearest_center, nearest_distance] = nearest;
+            let [second_center, second_distance] = second;
+            for values in unbundle([nearest_center, nearest_distance, second_center, second_distance], colors.len()) {
+                found.push([(values[0] as u32, values[1]), (values[2] as u32, values[3])]);
+            }
         }
+        found
     }
+}
+
+/// Gaussian weights around the two nearest centers, relative to the nearest one so that none underflows to 0 / 0.
+fn membership([nearest, second]: [(u32, f32); 2]) -> Membership {
     let ratio = ((nearest.1 - second.1) / (2.0 * SOFTNESS * SOFTNESS)).exp();
     let weight = 1.0 / (1.0 + ratio);
     [(nearest.0, weight), (second.0, 1.0 - weight)]
@@ -81,8 +122,9 @@ fn lloyd(samples: &[[f32; 3]], mut centers: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     for _ in 0..ROUNDS {
         let of_part = |samples: &[[f32; 3]]| {
             let mut sums = vec![[0.0f64; 4]; centers.len()];
-            for &sample in samples {
-                let sum = &mut sums[nearest(sample, &centers)];
+            let nearest = f32::run(Nearest { colors: samples, centers: &centers });
+            for (sample, [(nearest, _), _]) in samples.iter().zip(nearest) {
+                let sum = &mut sums[nearest as usize];
                 sample.iter().zip(sum.iter_mut()).for_each(|(&value, sum)| *sum += f64::from(value));
                 sum[3] += 1.0;
             }
@@ -107,20 +149,9 @@ fn lloyd(samples: &[[f32; 3]], mut centers: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     centers
 }
 
-fn nearest(color: [f32; 3], centers: &[[f32; 3]]) -> usize {
-    let mut nearest = (0, f32::INFINITY);
-    for (k, &center) in centers.iter().enumerate() {
-        let distance = distance2(color, center);
-        if distance < nearest.1 {
-            nearest = (k, distance);
-        }
-    }
-    nearest.0
-}
-
 /// Pixels in at most `count` groups by three planes of diffuse albedo, and how many groups there are.
 pub(super) fn colour_groups(diffuse: &[f32], count: usize, seed: u64) -> (Vec<Membership>, usize) {
-    let encoded: Vec<f32> = diffuse.iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
+    let encoded: Vec<f32> = diffuse.par_iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
     soft_groups(&encoded, diffuse.len() / 3, count, seed)
 }
 

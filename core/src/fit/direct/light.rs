@@ -10,7 +10,7 @@ use crate::color::GAMMA;
 use crate::error::Result;
 use crate::fit::options::Refine;
 use crate::maps::Maps;
-use crate::render::{encode_radiance, render_maps};
+use crate::render::{encode_all, render_maps};
 use crate::shot::Shot;
 
 /// Largest deviation that is granted, as a logarithm: a factor of 2.
@@ -34,7 +34,7 @@ pub(super) fn refined(capture: &Capture, maps: &Maps<f32>, refine: Refine) -> Re
     }
     let shots = if refine == Refine::All { placed(capture, maps)? } else { stated(capture) };
     let log = |(photo, shot)| log_gain(photo, shot, capture.patch_size(), maps);
-    let logs = capture.photos().iter().zip(&shots).map(log).collect::<Result<Vec<f64>>>()?;
+    let logs = capture.photos().par_iter().zip(&shots).map(log).collect::<Result<Vec<f64>>>()?;
     let mean = logs.iter().sum::<f64>() / count as f64;
     Ok(shots.iter().zip(logs).map(|(shot, log)| lit(shot, granted(log - mean))).collect())
 }
@@ -86,19 +86,16 @@ pub(super) fn lit(shot: &Shot, gain: f64) -> Shot {
 /// and the variance of its logarithm, infinite where nothing is rendered or seen.
 fn code_ratio(photo: &Photo, rendering: &[f32]) -> (f64, f64) {
     let pixels = photo.saturated.len();
-    let codes: Vec<[f64; 2]> = (0..pixels)
-        .into_par_iter()
-        .filter(|&p| photo.saturated[p] == 0)
-        .map(|p| {
-            let seen = &photo.image.data()[3 * p..3 * p + 3];
-            let code = |sum: f32| f64::from(encode_radiance(sum / 3.0));
-            [code(seen[0] + seen[1] + seen[2]), code((0..3).map(|c| rendering[c * pixels + p]).sum())]
-        })
-        .collect();
+    let used: Vec<usize> = (0..pixels).filter(|&p| photo.saturated[p] == 0).collect();
+    let seen = |&p: &usize| photo.image.data()[3 * p..3 * p + 3].iter().sum::<f32>() / 3.0;
+    let rendered = |&p: &usize| (0..3).map(|c| rendering[c * pixels + p]).sum::<f32>() / 3.0;
+    let mut codes: [Vec<f32>; 2] = [used.iter().map(seen).collect(), used.iter().map(rendered).collect()];
+    codes.iter_mut().for_each(|codes| encode_all(codes));
+    let [seen, rendered] = codes;
     let (mut ratio, mut variance) = (1.0, f64::INFINITY);
     for _ in 0..ROUNDS {
         let (mut up, mut down, mut missed) = (0.0, 0.0, 0.0);
-        for [seen, rendered] in &codes {
+        for [seen, rendered] in seen.iter().zip(&rendered).map(|(&seen, &rendered)| [seen, rendered].map(f64::from)) {
             let off = seen - ratio * rendered;
             let weight = 1.0 / (1.0 + (off / OUTLIER).powi(2));
             up += weight * seen * rendered;

@@ -14,6 +14,8 @@ use crate::maps::{DIFFUSE_PLANE, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
 
 /// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
 const ROUGHNESS_MIN: f32 = 0.02;
+/// Pixels that one thread takes at a time.
+const PART: usize = 1 << 14;
 /// Steps of group values are longer by this factor, and those of the common tilt shorter.
 pub(super) const GROUP_STEP: f32 = 2.0;
 pub(super) const TILT_STEP: f32 = 1.0 / 3.0;
@@ -79,15 +81,25 @@ impl Parameters {
         })
     }
 
-    /// The transpose of [`Parameters::mixed_logits`] with respect to the groups' values.
-    fn gather(&self, slopes: &[f32]) -> Vec<f32> {
-        let mut sums = vec![0.0f64; self.layout.groups];
-        for (membership, &slope) in self.memberships.iter().zip(slopes) {
-            for (group, weight) in membership {
-                sums[*group as usize] += f64::from(weight * slope);
+    /// The transpose of [`Parameters::mixed_logits`] with respect to the groups' values, of four planes at once: a pixel's sums do not wait for each other.
+    fn gather(&self, slopes: [&[f32]; 4]) -> Vec<[f64; 4]> {
+        let of_part = |(part, memberships): (usize, &[Membership])| {
+            let mut sums = vec![[0.0f64; 4]; self.layout.groups];
+            for (p, membership) in (part * PART..).zip(memberships) {
+                for &(group, weight) in membership {
+                    let sum = &mut sums[group as usize];
+                    for i in 0..4 {
+                        sum[i] += f64::from(weight * slopes[i][p]);
+                    }
+                }
             }
-        }
-        sums.into_iter().map(|sum| sum as f32 * GROUP_STEP).collect()
+            sums
+        };
+        let parts: Vec<Vec<[f64; 4]>> = self.memberships.par_chunks(PART).enumerate().map(of_part).collect();
+        // Summed in order: the same bits on any number of threads.
+        (0..self.layout.groups)
+            .map(|group| [0, 1, 2, 3].map(|i| parts.iter().map(|sums| sums[group][i]).sum::<f64>()))
+            .collect()
     }
 
     /// Parameters to maps. Normals are left as (slope x, slope y, 1).
@@ -147,45 +159,42 @@ impl Parameters {
         self.memberships.par_iter().enumerate().map(of_pixel).collect()
     }
 
-    /// From the gradient with respect to the maps to that with respect to the parameters, which it overwrites.
-    pub(super) fn chain(&self, params: &[f32], maps: &Maps<f32>, map_gradient: &Maps<f32>, gradient: &mut [f32]) {
+    /// From the gradient with respect to the maps to that with respect to the parameters, which it overwrites. `map_gradient` is left with respect to logits.
+    pub(super) fn chain(&self, params: &[f32], maps: &Maps<f32>, map_gradient: &mut Maps<f32>, gradient: &mut [f32]) {
         let layout = self.layout;
         let n = layout.pixels;
-        let specular_plane = maps.lobe().specular_plane();
-        // d loss / d logit of every plane that is a sigmoid.
-        let logit_gradient = |plane: usize| -> Vec<f32> {
-            let pairs = maps.plane(plane).iter().zip(map_gradient.plane(plane));
-            pairs.map(|(&value, &slope)| slope * value * (1.0 - value)).collect()
-        };
-        let planes: Vec<usize> = (DIFFUSE_PLANE..DIFFUSE_PLANE + 3)
-            .chain([ROUGHNESS_PLANE])
-            .chain(specular_plane..specular_plane + 3)
-            .collect();
-        let mut logits: Vec<Vec<f32>> = planes.into_par_iter().map(logit_gradient).collect();
-        if layout.anisotropic {
-            logits[3] = self.chain_anisotropy(params, maps, map_gradient, gradient);
+        let first = maps.lobe().specular_plane();
+        let roughness = layout.anisotropic.then(|| self.chain_anisotropy(params, maps, map_gradient, gradient));
+        let planes = map_gradient.data_mut().par_chunks_mut(n).zip(maps.data().par_chunks(n)).enumerate();
+        planes.for_each(|(plane, (slopes, values))| {
+            if plane < NORMAL_PLANE || plane == ROUGHNESS_PLANE || (first..first + 3).contains(&plane) {
+                slopes.iter_mut().zip(values).for_each(|(slope, value)| *slope *= value * (1.0 - value));
+            }
+        });
+        if let Some(roughness) = roughness {
+            map_gradient.plane_mut(ROUGHNESS_PLANE).copy_from_slice(&roughness);
         }
-        let (diffuse, rest) = logits.split_at(3);
-        let (roughness, specular) = (&rest[0], &rest[1..]);
+        let plane = |plane: usize| map_gradient.plane(plane);
+        let [red, green, blue, roughness] = [first, first + 1, first + 2, ROUGHNESS_PLANE].map(plane);
 
-        for (c, values) in diffuse.iter().enumerate() {
-            gradient[c * n..(c + 1) * n].copy_from_slice(values);
+        let (own, shared) = gradient.split_at_mut(layout.specular_group());
+        own.par_chunks_mut(n).enumerate().for_each(|(i, own)| match i {
+            ..3 => own.copy_from_slice(plane(DIFFUSE_PLANE + i)),
+            3 | 4 => own.copy_from_slice(plane(NORMAL_PLANE + i - 3)),
+            5 => own.iter_mut().enumerate().for_each(|(p, own)| *own = red[p] + green[p] + blue[p]),
+            _ => own.copy_from_slice(roughness),
+        });
+        for (group, sums) in self.gather([red, green, blue, roughness]).into_iter().enumerate() {
+            for (i, sum) in sums.into_iter().enumerate() {
+                shared[i * layout.groups + group] = sum as f32 * GROUP_STEP;
+            }
         }
         for c in 0..2 {
-            let values = map_gradient.plane(NORMAL_PLANE + c);
-            gradient[layout.slope() + c * n..][..n].copy_from_slice(values);
-            gradient[layout.tilt() + c] = sum(values.iter().copied()) * TILT_STEP;
+            let sums =
+                plane(NORMAL_PLANE + c).par_chunks(PART).map(|slopes| slopes.iter().copied().map(f64::from).sum());
+            let sums: Vec<f64> = sums.collect();
+            shared[layout.tilt() - layout.specular_group() + c] = sums.iter().sum::<f64>() as f32 * TILT_STEP;
         }
-        let own = &mut gradient[layout.specular_own()..layout.roughness_own()];
-        for (p, own) in own.iter_mut().enumerate() {
-            *own = specular[0][p] + specular[1][p] + specular[2][p];
-        }
-        gradient[layout.roughness_own()..layout.specular_group()].copy_from_slice(roughness);
-        let shared: Vec<f32> = [&specular[0], &specular[1], &specular[2], roughness]
-            .into_par_iter()
-            .flat_map_iter(|slopes| self.gather(slopes))
-            .collect();
-        gradient[layout.specular_group()..layout.tilt()].copy_from_slice(&shared);
         if self.reflectance == Reflectance::Dielectric {
             // One specular albedo for the three channels and for all pixels of a group.
             gradient[layout.specular_own()..layout.roughness_own()].fill(0.0);

@@ -9,7 +9,7 @@ use crate::cholesky::Cholesky;
 use crate::error::Result;
 use crate::fit::optim::holdout::{thinned, thinned_planes};
 use crate::maps::Maps;
-use crate::render::{encode_radiance, render_maps};
+use crate::render::{encode_all, encode_radiance, render_maps};
 use crate::shot::Shot;
 
 /// Standard deviation of a stated position, in each direction, as a share of the camera's distance.
@@ -43,9 +43,11 @@ fn place(photo: &Photo, maps: &Maps<f32>, patch_size: f64) -> Result<Shot> {
     let shot = |[_, offset @ ..]: &[f64; 4]| moved(&photo.shot, offset.map(|x| x * distance));
     // Codes of the rendering, three of each pixel.
     let codes = |at: &[f64; 4]| -> Result<Vec<f64>> {
-        let planes = render_maps(maps, patch_size, &shot(at))?;
+        let mut planes = render_maps(maps, patch_size, &shot(at))?;
         let light = at[0].exp() as f32;
-        let code = |(p, c): (&usize, usize)| f64::from(encode_radiance(light * planes[c * pixels + p]));
+        planes.iter_mut().for_each(|value| *value *= light);
+        encode_all(&mut planes);
+        let code = |(p, c): (&usize, usize)| f64::from(planes[c * pixels + p]);
         Ok(used.iter().flat_map(|p| (0..3).map(move |c| (p, c))).map(code).collect())
     };
     let seen = |p: &usize| photo.image.data()[3 * p..3 * p + 3].iter().map(|&x| f64::from(encode_radiance(x)));

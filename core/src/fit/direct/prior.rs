@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::SPECULAR_LOGIT;
 use super::parameters::{GROUP_STEP, Layout, TILT_STEP};
+use crate::brdf::real::{Arithmetic, Kernel, Lanes, Real, Wide};
 use crate::fit::anisotropy;
 
 /// For [`Prior::photo`].
@@ -113,23 +114,52 @@ impl Prior {
         }
         for (range, mean, step, weight) in terms {
             let weight = weight * f64::from(step * step);
-            let values = &params[range.clone()];
-            let off = |i: usize, value: f32| value - mean.map_or(0.0, |mean| mean[i]);
-            let squares = |(part, values): (usize, &[f32])| -> f64 {
-                let off = |(i, &value): (usize, &f32)| off(part * PART + i, value);
-                values.iter().enumerate().map(off).map(|off| f64::from(off * off)).sum()
+            let values = params[range.clone()].par_chunks(PART).enumerate();
+            let pull = |part: usize, values, slopes| {
+                let mean = mean.map(|mean| &mean[part * PART..]);
+                f32::run(Pull { values, mean, weight, slopes })
             };
-            let squares: Vec<f64> = values.par_chunks(PART).enumerate().map(squares).collect();
+            let squares: Vec<f64> = match gradient.as_deref_mut() {
+                None => values.map(|(part, values)| pull(part, values, None)).collect(),
+                Some(gradient) => values
+                    .zip(gradient[range].par_chunks_mut(PART))
+                    .map(|((part, values), slopes)| pull(part, values, Some(slopes)))
+                    .collect(),
+            };
             total += 0.5 * weight * squares.iter().sum::<f64>();
-            if let Some(gradient) = gradient.as_deref_mut() {
-                gradient[range].par_iter_mut().with_min_len(PART).zip(values).enumerate().for_each(
-                    |(i, (slope, &value))| {
-                        *slope += weight as f32 * off(i, value);
-                    },
-                );
-            }
         }
         total
+    }
+}
+
+/// The sum of the squares of `values` off their mean, which is 0 where there is none; adds `weight` times how far they are off to `slopes`.
+struct Pull<'a> {
+    values: &'a [f32],
+    mean: Option<&'a [f32]>,
+    weight: f64,
+    slopes: Option<&'a mut [f32]>,
+}
+
+impl Kernel<f32> for Pull<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<L: Lanes<Scalar = f32>>(mut self) -> f64 {
+        let weight = L::splat(self.weight);
+        let mut squares = L::splat(0.0).widen();
+        for begin in (0..self.values.len()).step_by(L::LANES) {
+            let end = self.values.len().min(begin + L::LANES);
+            let mut off = L::load(&self.values[begin..end]);
+            if let Some(mean) = self.mean {
+                off = off - L::load(&mean[begin..end]);
+            }
+            squares = off.widen().mul_add(off.widen(), squares);
+            if let Some(slopes) = &mut self.slopes {
+                let slopes = &mut slopes[begin..end];
+                weight.mul_add(off, L::load(slopes)).store(slopes);
+            }
+        }
+        squares.sum()
     }
 }
 

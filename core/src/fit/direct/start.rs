@@ -211,6 +211,7 @@ impl<R: Real> Kernel<R> for Explain<'_> {
             let counted: L = L::load_f32(&[1.0; LANES_MAX][..pixels.len()]);
             bundles.push((View::all(capture, photos, pixels), slopes_of::<L>(relief, pixels), counted));
         }
+        let surprises = SPECULARS.map(|specular| (prior.specular)(specular));
         let mut parts: Vec<Parts<L>> = Vec::with_capacity(photos.len());
         let mut best_of_shapes = Vec::with_capacity(shapes.len());
         for &shape in shapes {
@@ -234,7 +235,7 @@ impl<R: Real> Kernel<R> for Explain<'_> {
                     let mut least = f64::INFINITY;
                     for i in (0..SPECULARS.len()).step_by(step) {
                         let mean = sums[c][i].widen().sum() / pixels.len() as f64;
-                        let cost = mean + (prior.specular)(SPECULARS[i]);
+                        let cost = mean + surprises[i];
                         if cost < least {
                             (least, found.specular[c]) = (cost, SPECULARS[i]);
                         }

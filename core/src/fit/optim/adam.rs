@@ -33,7 +33,7 @@ impl Adam {
         self.steps = 0;
     }
 
-    /// Moves `params` one step against `gradient`; all three hold the same number of values (surplus ones are left alone).
+    /// Moves `params` one step against `gradient`; both hold as many values as the state (surplus ones are left alone).
     pub fn step(&mut self, params: &mut [f32], gradient: &[f32], learning_rate: f64) {
         self.steps = self.steps.saturating_add(1);
         let size = (learning_rate / (1.0 - BETA1.powi(self.steps))) as f32;

@@ -118,7 +118,7 @@ fn run(
     for step in 0..=steps {
         let last = step == steps;
         let loss = evaluate(params, (!last).then_some(&mut gradient[..]), control)?;
-        let finite = loss.is_finite() && (last || gradient.par_iter().with_min_len(PART).all(|g| g.is_finite()));
+        let finite = loss.is_finite() && (last || gradient.par_chunks(PART).all(all_finite));
         descent.steps = step;
         descent.last_loss = if loss.is_finite() { loss } else { f64::NAN };
         if step == 0 {
@@ -128,7 +128,9 @@ fn run(
             if loss < descent.best_loss {
                 descent.best_loss = loss;
                 descent.best_step = step;
-                best.copy_from_slice(params);
+                best.par_chunks_mut(PART)
+                    .zip(params.par_chunks(PART))
+                    .for_each(|(best, now)| best.copy_from_slice(now));
             }
         } else if descent.best_loss == f64::INFINITY {
             return Err(Error::NonFinite { stage: stage.name().to_owned(), iteration: step });
@@ -157,6 +159,12 @@ fn run(
         control.report(stage, before + step + 1, whole, Some(loss))?;
     }
     Ok(descent)
+}
+
+/// Whether all `values` are numbers: none is as large as infinity. Without a branch, so that many are looked at together.
+fn all_finite(values: &[f32]) -> bool {
+    let largest = values.iter().fold(0, |largest, value| value.abs().to_bits().max(largest));
+    largest < f32::INFINITY.to_bits()
 }
 
 /// Share of the learning rate at `step` of `steps`.
