@@ -12,27 +12,34 @@ const SAMPLES: usize = 16_384;
 const PART: usize = 1024;
 /// Rounds of Lloyd's iteration at most.
 const ROUNDS: usize = 30;
-/// Distance between gamma 2.2 encoded colours within which a pixel counts to several groups.
-const SOFTNESS: f32 = 0.05;
+
+/// How pixels are grouped.
+#[derive(Clone, Copy)]
+pub struct Groups {
+    /// How many groups there are at most.
+    pub most: usize,
+    /// Distance between gamma 2.2 encoded colours within which a pixel counts to several groups.
+    pub softness: f32,
+}
 
 /// A pixel's share in the two groups nearest to its colour: (group, weight), the weights summing to 1.
 pub type Membership = [(u32, f32); 2];
 
-/// Soft membership of every pixel in at most `groups` colour groups, and how many groups there are.
+/// Soft membership of every pixel in colour groups, and how many groups there are.
 ///
 /// `colors`: three planes of `pixels` values, gamma 2.2 encoded. Fewer groups come back where there are fewer different colours.
 ///
 /// # Source
 /// Arthur and Vassilvitskii, "k-means++: The Advantages of Careful Seeding", SODA 2007.
-pub fn soft_groups(colors: &[f32], pixels: usize, groups: usize, seed: u64) -> (Vec<Membership>, usize) {
+pub fn soft_groups(colors: &[f32], pixels: usize, groups: Groups, seed: u64) -> (Vec<Membership>, usize) {
     let color = |p: usize| [colors[p], colors[pixels + p], colors[2 * pixels + p]];
     let stride = pixels.div_ceil(SAMPLES);
     let samples: Vec<[f32; 3]> = (0..pixels).step_by(stride).map(color).collect();
-    let centers = lloyd(&samples, seed_centers(&samples, groups, seed));
+    let centers = lloyd(&samples, seed_centers(&samples, groups.most, seed));
     let of_part = |part: usize| {
         let colors: Vec<[f32; 3]> = (part * PART..pixels.min((part + 1) * PART)).map(color).collect();
         let nearest = f32::run(Nearest { colors: &colors, centers: &centers });
-        nearest.into_iter().map(membership).collect::<Vec<_>>()
+        nearest.into_iter().map(|nearest| membership(nearest, groups.softness)).collect::<Vec<_>>()
     };
     let memberships: Vec<Vec<Membership>> = (0..pixels.div_ceil(PART)).into_par_iter().map(of_part).collect();
     let memberships = memberships.concat();
@@ -87,8 +94,8 @@ impl Kernel<f32> for Nearest<'_> {
 }
 
 /// Gaussian weights around the two nearest centers, relative to the nearest one so that none underflows to 0 / 0.
-fn membership([nearest, second]: [(u32, f32); 2]) -> Membership {
-    let ratio = ((nearest.1 - second.1) / (2.0 * SOFTNESS * SOFTNESS)).exp();
+fn membership([nearest, second]: [(u32, f32); 2], softness: f32) -> Membership {
+    let ratio = ((nearest.1 - second.1) / (2.0 * softness * softness)).exp();
     let weight = 1.0 / (1.0 + ratio);
     [(nearest.0, weight), (second.0, 1.0 - weight)]
 }
@@ -149,15 +156,19 @@ fn lloyd(samples: &[[f32; 3]], mut centers: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     centers
 }
 
-/// Pixels in at most `count` groups by three planes of diffuse albedo, and how many groups there are.
-pub(super) fn colour_groups(diffuse: &[f32], count: usize, seed: u64) -> (Vec<Membership>, usize) {
+/// Pixels in groups by three planes of diffuse albedo, and how many groups there are.
+pub(super) fn colour_groups(diffuse: &[f32], groups: Groups, seed: u64) -> (Vec<Membership>, usize) {
     let encoded: Vec<f32> = diffuse.par_iter().map(|&value| Transfer::Gamma22.encode(value)).collect();
-    soft_groups(&encoded, diffuse.len() / 3, count, seed)
+    soft_groups(&encoded, diffuse.len() / 3, groups, seed)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::soft_groups;
+    use super::{Groups, Membership};
+
+    fn soft_groups(colors: &[f32], pixels: usize, most: usize, seed: u64) -> (Vec<Membership>, usize) {
+        super::soft_groups(colors, pixels, Groups { most, softness: 0.05 }, seed)
+    }
 
     #[test]
     fn three_colours_make_three_groups() {

@@ -40,7 +40,7 @@ use crate::render::{Target, photo_loss};
 use crate::shot::Shot;
 
 pub(crate) use folds::{FoldRelief, Folds, fit_folds};
-use groups::{Membership, colour_groups};
+use groups::{Groups, Membership, colour_groups};
 use parameters::{GROUP_STEP, Layout, Parameters, TILT_STEP, inside, logit, logits};
 pub(super) use prior::PHOTO_DEVIATION;
 use prior::{
@@ -50,9 +50,10 @@ use prior::{
 pub(super) use relief::{relief, relief_of_raw};
 use start::{GroupLobe, search};
 
-/// Colour groups, and how many at most where they only correct a prediction.
-const GROUPS: usize = 32;
-const CORRECTED_GROUPS: usize = 4;
+/// Colour groups.
+const GROUPS: Groups = Groups { most: 32, softness: 0.05 };
+/// Those that only correct a prediction: few and soft, since where two meet roughness must not jump.
+const CORRECTED_GROUPS: Groups = Groups { most: 2, softness: 0.15 };
 /// Rounds: after each, pixels are grouped anew by the diffuse albedo that was found, which highlights reach less than the first estimate, and the
 /// light of every photo is estimated. Steps of a round at least.
 const ROUNDS: usize = 4;
