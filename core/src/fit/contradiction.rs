@@ -1,7 +1,8 @@
 //! Photos that contradict the others: black ones, ones of another material, ones whose positions were swapped. One of them spoils the maps.
 //!
 //! On a part of the pixels the photos are fitted with and without single ones. Where a photo fits the others, leaving it out changes the
-//! error of the rest little; where it does not, the error falls to a fraction, because the maps need no longer explain both.
+//! error of the rest little; where it does not, the error falls to a fraction, because the maps need no longer explain both. A small highlight that only one photo
+//! shows is no contradiction, and neither is one that only a stretched lobe explains.
 //!
 //! Not from the paper.
 
@@ -9,9 +10,9 @@ use crate::capture::{Capture, Photo};
 use crate::error::Result;
 use crate::fit::direct::{Relief, fit_direct};
 use crate::fit::optim::holdout::thinned;
-use crate::fit::options::FitOptions;
+use crate::fit::options::{FitOptions, Reflectance};
 use crate::progress::Control;
-use crate::render::photo_loss;
+use crate::render::{encode_all, render_maps};
 use crate::shot::Shot;
 
 /// Pixels along the longer side, and steps, of the fits that compare.
@@ -29,6 +30,8 @@ const TRIED: usize = 4;
 const FALL: f64 = 0.5;
 /// Root mean squared error of gamma 2.2 codes below which photos do not contradict each other.
 const ERROR_MIN: f64 = 0.02;
+/// Share of a photo's pixels, those that are missed most, that do not count: a highlight of a smooth surface, which no other photo shows.
+const HIGHLIGHT: f64 = 0.05;
 
 /// The photos of `capture` that contradict the others, in ascending order.
 ///
@@ -68,6 +71,13 @@ pub(super) fn contradicting(capture: &Capture, options: &FitOptions, control: &m
     }
     left_out.truncate(accepted);
     left_out.sort_unstable();
+    if !left_out.is_empty() && options.reflectance == Reflectance::Auto {
+        let (stretched, _) = errors(&capture, &options.reflectance(Reflectance::Anisotropic), control)?;
+        tracing::debug!("all photos with a stretched lobe: error {stretched:.4}");
+        if FALL * stretched < whole {
+            left_out.clear();
+        }
+    }
     Ok(left_out)
 }
 
@@ -76,14 +86,30 @@ fn errors(capture: &Capture, options: &FitOptions, control: &mut Control<'_>) ->
     control.poll()?;
     let fit = |control: &mut Control<'_>| fit_direct(capture, Relief::Flat, options, &mut Vec::new(), control);
     let (direct, _) = Control::silently(options.cancel.clone(), fit)?;
-    let error = |(photo, shot): (&Photo, Shot)| -> Result<f64> {
-        let mut target = photo.target()?;
-        target.set_shot(shot);
-        Ok((photo_loss(&direct.maps, capture.patch_size(), &[target], None)? / 1000.0).sqrt())
-    };
+    let error = |(photo, shot): (&Photo, Shot)| missed(photo, render_maps(&direct.maps, capture.patch_size(), &shot)?);
     let each = capture.photos().iter().zip(direct.shots.iter().copied()).map(error).collect::<Result<Vec<f64>>>()?;
     let mean = each.iter().map(|error| error * error).sum::<f64>() / each.len() as f64;
     Ok((mean.sqrt(), each))
+}
+
+/// The root mean squared error of the codes of `rendering`, three planes of radiance, without the pixels that are missed most.
+fn missed(photo: &Photo, mut rendering: Vec<f32>) -> Result<f64> {
+    let mut seen = photo.image.to_planar()?;
+    encode_all(&mut seen);
+    encode_all(&mut rendering);
+    let pixels = photo.saturated.len();
+    let square = |pixel: usize| -> f64 {
+        let of_channel = |c: usize| {
+            let off = f64::from(rendering[c * pixels + pixel] - seen[c * pixels + pixel]);
+            // Where the photo is saturated, brighter is right.
+            if photo.saturated[pixel] >> c & 1 == 1 { off.min(0.0) } else { off }
+        };
+        (0..3).map(|c| of_channel(c).powi(2)).sum::<f64>() / 3.0
+    };
+    let mut squares: Vec<f64> = (0..pixels).map(square).collect();
+    squares.sort_by(f64::total_cmp);
+    squares.truncate(pixels - (pixels as f64 * HIGHLIGHT) as usize);
+    Ok((squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
 #[cfg(test)]
@@ -152,6 +178,44 @@ mod tests {
         let mut three = photos().split_off(4);
         three[0].image = scaled(&three[0], 0.0);
         assert_eq!(found(three), Vec::<usize>::new());
+    }
+
+    /// Photos of one even surface from these places.
+    fn photos_of(diffuse: f32, specular: f32, roughness: [f32; 2], places: &[[f64; 3]]) -> Vec<Photo> {
+        let lobe = if roughness[0] == roughness[1] { Lobe::Isotropic } else { Lobe::Anisotropic };
+        let mut maps = Maps::new(lobe, SIDE, SIDE, vec![0.0; lobe.planes() * PIXELS]).unwrap();
+        let first = lobe.specular_plane();
+        for (i, value) in maps.data_mut().iter_mut().enumerate() {
+            *value = match i / PIXELS {
+                ..3 => diffuse,
+                5 => 1.0,
+                6 => roughness[0],
+                7 if lobe == Lobe::Anisotropic => roughness[1],
+                plane if (first..first + 3).contains(&plane) => specular,
+                plane => f32::from(u8::from(plane == first + 3)),
+            };
+        }
+        let photo = |&place: &[f64; 3]| {
+            let shot = Shot { camera: place, light: place, light_intensity: [60.0; 3] };
+            let image = Image::from_planar(SIDE, SIDE, 3, &render_maps(&maps, 2.0, &shot).unwrap()).unwrap();
+            Photo { name: String::new(), shot, image, saturated: vec![0; PIXELS] }
+        };
+        places.iter().map(photo).collect()
+    }
+
+    #[test]
+    fn highlights_do_not_contradict() {
+        let places = [[0.1, 0.0, 2.4], [0.4, 0.3, 2.4], [-0.5, 0.6, 2.4], [0.2, -0.9, 2.4]];
+        let mirror = photos_of(0.02, 0.9, [0.1; 2], &places);
+        assert_eq!(found(mirror), Vec::<usize>::new());
+        let places = [[0.12, -0.06, 4.4], [1.8, 1.0, 4.4], [-1.6, 1.2, 4.6], [0.2, -2.0, 4.2]];
+        let mut brushed = photos_of(0.0, 0.8, [0.22, 0.63], &places);
+        for photo in &mut brushed {
+            let clipped = |value: &f32| u8::from(*value >= 1.0);
+            photo.saturated = photo.image.data().chunks_exact(3).map(|rgb| 7 * clipped(&rgb[0])).collect();
+            photo.image.data_mut().iter_mut().for_each(|value| *value = value.min(1.0));
+        }
+        assert_eq!(found(brushed), Vec::<usize>::new());
     }
 
     #[test]
