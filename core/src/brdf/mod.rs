@@ -90,7 +90,9 @@ fn intensity<L: Lanes>(shot: &Shot) -> [L; 3] {
     shot.light_intensity.map(L::splat)
 }
 
-fn directions<L: Lanes>(camera: Wide3<L>, light: Wide3<L>, shot: &Shot) -> Directions<L> {
+/// What the vectors from a point to the camera and to the light of `shot` make of the shading.
+#[inline(always)]
+pub(crate) fn directions<L: Lanes>(camera: Wide3<L>, light: Wide3<L>, shot: &Shot) -> Directions<L> {
     if shot.camera == shot.light { Directions::collocated(camera) } else { Directions::separate(camera, light) }
 }
 

@@ -13,7 +13,6 @@ use crate::fit::optim::holdout::thinned;
 use crate::fit::options::{FitOptions, Reflectance};
 use crate::progress::Control;
 use crate::render::{encode_all, render_maps};
-use crate::shot::Shot;
 
 /// Pixels along the longer side, and steps, of the fits that compare.
 const SIDE: usize = 32;
@@ -86,8 +85,8 @@ fn errors(capture: &Capture, options: &FitOptions, control: &mut Control<'_>) ->
     control.poll()?;
     let fit = |control: &mut Control<'_>| fit_direct(capture, Relief::Flat, options, &mut Vec::new(), control);
     let (direct, _) = Control::silently(options.cancel.clone(), fit)?;
-    let error = |(photo, shot): (&Photo, Shot)| missed(photo, render_maps(&direct.maps, capture.patch_size(), &shot)?);
-    let each = capture.photos().iter().zip(direct.shots.iter().copied()).map(error).collect::<Result<Vec<f64>>>()?;
+    let error = |(photo, shot)| missed(photo, render_maps(&direct.maps, capture.patch_size(), shot)?);
+    let each = capture.photos().iter().zip(&direct.shots).map(error).collect::<Result<Vec<f64>>>()?;
     let mean = each.iter().map(|error| error * error).sum::<f64>() / each.len() as f64;
     Ok((mean.sqrt(), each))
 }

@@ -163,17 +163,12 @@ impl<L: Lanes> Geometry<L> {
     #[inline(always)]
     pub fn new(shot: &Shot, length: f64, [x, y]: [L; 2]) -> Self {
         let camera = offset::<L>(shot.camera.map(|along| along / length), x.widen(), y.widen());
-        let directions = if shot.camera == shot.light {
-            Directions::collocated(camera)
-        } else {
-            let light = offset::<L>(shot.light.map(|along| along / length), x.widen(), y.widen());
-            Directions::separate(camera, light)
-        };
+        let light = offset::<L>(shot.light.map(|along| along / length), x.widen(), y.widen());
         let mut intensity = [x; 3];
         for c in 0..3 {
             intensity[c] = L::splat(shot.light_intensity[c] / (length * length));
         }
-        Self { directions, intensity }
+        Self { directions: brdf::directions(camera, light, shot), intensity }
     }
 
     /// What a surface with a lobe of this frame sends to the camera, as parts: the radiance that the diffuse albedo `d` and the

@@ -272,8 +272,3 @@ pub(super) fn inside(x: f32) -> f32 {
 pub(super) fn logit(x: f32) -> f32 {
     (x / (1.0 - x)).ln()
 }
-
-/// Sum in f64, in order.
-pub(super) fn sum(values: impl Iterator<Item = f32>) -> f32 {
-    values.map(f64::from).sum::<f64>() as f32
-}

@@ -14,7 +14,6 @@
 use rayon::prelude::*;
 
 use super::groups::Membership;
-use super::parameters::sum;
 use crate::brdf::real::{Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::capture::{Capture, Photo};
 use crate::color::GAMMA;
@@ -411,7 +410,8 @@ pub(super) fn diffuse_start(capture: &Capture) -> Vec<f32> {
                     }
                     values.map(|mut values| {
                         values.sort_by(f32::total_cmp);
-                        (sum(values[..darker].iter().copied()) / darker as f32).clamp(1e-3, 0.95)
+                        let sum: f64 = values[..darker].iter().copied().map(f64::from).sum();
+                        (sum as f32 / darker as f32).clamp(1e-3, 0.95)
                     })
                 })
                 .collect()
