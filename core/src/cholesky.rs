@@ -1,7 +1,7 @@
 //! Small symmetric systems.
 #![allow(clippy::needless_range_loop, reason = "the indices are those of the textbook")]
 
-use crate::brdf::real::Lanes;
+use crate::real::Lanes;
 
 /// The Cholesky factors of symmetric positive definite matrices, one for each lane.
 #[derive(Clone, Copy, Debug)]

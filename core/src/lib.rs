@@ -26,6 +26,7 @@ mod pool;
 pub mod preview;
 pub mod progress;
 mod raw;
+pub mod real;
 pub mod render;
 mod shot;
 #[cfg(feature = "train")]

@@ -1,6 +1,6 @@
 //! Fresnel reflectance.
 
-use super::real::Lanes;
+use crate::real::Lanes;
 
 /// Weight of white in the spherical Gaussian approximation of Schlick's term: `F = F0 + (1 - F0) * weight`.
 ///

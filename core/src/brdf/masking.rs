@@ -1,6 +1,6 @@
 //! Masking and shadowing, with the cosines of the microfacet denominator cancelled: nothing is divided by a small number.
 
-use super::real::Lanes;
+use crate::real::Lanes;
 
 /// `G / (4 (n.v) (n.l))` with its derivatives.
 #[derive(Clone, Copy, Debug)]

@@ -22,14 +22,13 @@
 pub mod fresnel;
 pub mod masking;
 pub mod ndf;
-pub mod real;
 
 use crate::maps::Lobe;
+use crate::real::{Arithmetic, Lanes, Real, add_scaled, cross, dot, scale};
 use crate::shot::Shot;
 use fresnel::fresnel_spherical_gaussian_weight;
 use masking::{masking_g1_smith_anisotropic, visibility_schlick};
 use ndf::{ndf_ggx, ndf_ggx_anisotropic};
-use real::{Arithmetic, Lanes, Real, add_scaled, cross, dot, scale};
 
 pub use ndf::ALPHA_MIN;
 

@@ -1,6 +1,6 @@
 //! Microfacet normal distributions.
 
-use super::real::Lanes;
+use crate::real::Lanes;
 
 /// Smallest alpha the model renders, [`super::ROUGHNESS_MIN`] squared.
 pub const ALPHA_MIN: f64 = 1e-6;

@@ -10,11 +10,11 @@
     reason = "closures would not be compiled for the processor's lanes"
 )]
 
-use crate::brdf::real::{LANES_MAX, Lanes, Real, scale};
 use crate::brdf::{self, Directions, Frame, Response};
 use crate::capture::Capture;
 use crate::color::GAMMA;
 use crate::raw::{NORMAL, RAW, ROUGHNESS, SPECULAR};
+use crate::real::{LANES_MAX, Lanes, Real, scale};
 use crate::render::{encode, offset};
 use crate::shot::Shot;
 

@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use crate::brdf::real::{Arithmetic, Kernel, Lanes, Real};
 use crate::color::GAMMA;
 use crate::error::{Error, Result};
 use crate::maps::{DIFFUSE_PLANE, Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
+use crate::real::{Arithmetic, Kernel, Lanes, Real};
 
 /// Largest x^2 + y^2 of a normal given by x and y; its z is then 1e-3.
 const FLAT_LIMIT: f64 = 1.0 - 1e-6;

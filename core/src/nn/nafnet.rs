@@ -208,7 +208,7 @@ fn forward<E: Scalar>(
         }
         _ => {
             let mut mean = total(&sums);
-            mean.iter_mut().for_each(|mean| *mean *= E::of(1.0 / layout.pixels() as f64));
+            mean.iter_mut().for_each(|mean| *mean *= E::splat(1.0 / layout.pixels() as f64));
             Attention::Factors(ops::affine(block.sca.weight.values(), &mean, block.sca.bias.values()))
         }
     };

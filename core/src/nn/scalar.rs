@@ -1,17 +1,15 @@
-//! The float types the kernels are written for, and how a kernel is compiled for the CPU at hand.
+//! The float types that the networks' kernels are written for, and how a kernel is compiled for the CPU at hand.
 
 use dfdx::dtypes::Dtype;
 
+use crate::real::{Lanes, Real};
+
 /// `f32` for users, `f64` for gradient checks.
-pub(crate) trait Scalar: Dtype {
-    /// The nearest value of this type.
-    fn of(value: f64) -> Self;
+pub(crate) trait Scalar: Dtype + Real {
     /// As `f64`.
     fn wide(self) -> f64;
     /// `self * a + b`, rounded once; only fast where the CPU has the instruction.
     fn fused(self, a: Self, b: Self) -> Self;
-    /// Square root.
-    fn root(self) -> Self;
     /// Hyperbolic tangent.
     fn tanh(self) -> Self;
     /// e to the power of `self`.
@@ -22,20 +20,12 @@ macro_rules! scalar {
     ($float:ty) => {
         impl Scalar for $float {
             #[inline(always)]
-            fn of(value: f64) -> Self {
-                value as $float
-            }
-            #[inline(always)]
             fn wide(self) -> f64 {
                 f64::from(self)
             }
             #[inline(always)]
             fn fused(self, a: Self, b: Self) -> Self {
                 self.mul_add(a, b)
-            }
-            #[inline(always)]
-            fn root(self) -> Self {
-                self.sqrt()
             }
             fn tanh(self) -> Self {
                 self.tanh()
@@ -49,36 +39,46 @@ macro_rules! scalar {
 scalar!(f32);
 scalar!(f64);
 
-/// `a * b + c`, fused where the kernel is compiled for a CPU that can.
+/// `a * b + c`, fused where the kernel is compiled for bundles `L` that are.
 #[inline(always)]
-pub(crate) fn multiply_add<E: Scalar, const FUSED: bool>(a: E, b: E, c: E) -> E {
-    if FUSED { a.fused(b, c) } else { a * b + c }
+pub(crate) fn multiply_add<E: Scalar, L: Lanes<Scalar = E>>(a: E, b: E, c: E) -> E {
+    if L::FUSED { a.fused(b, c) } else { a * b + c }
 }
 
-/// Compiles a kernel twice, for any CPU and for AVX2 with FMA, and calls the one the CPU can run.
+/// A loop over plain values, compiled once for each bundle of [`Real::run`], which calls the one that the CPU can run: what is simple enough for the
+/// compiler to make bundles of.
 ///
-/// In the body `FUSED` says which of the two it is, to be handed to [`multiply_add`].
+/// In the body `L` is the bundle, to be handed to [`multiply_add`].
 macro_rules! kernel {
-    ($(#[$attribute:meta])* $visible:vis fn $name:ident<$scalar:ident>($($argument:ident: $type:ty),* $(,)?) $(-> $result:ty)? $body:block) => {
+    ($(#[$attribute:meta])* $visible:vis fn $name:ident<$life:lifetime>($($argument:ident: $type:ty),* $(,)?) $body:block) => {
+        kernel!(@of f32, [$life], [$life], $(#[$attribute])* $visible fn $name($($argument: $type),*) -> () $body);
+    };
+    ($(#[$attribute:meta])* $visible:vis fn $name:ident<$life:lifetime, $scalar:ident>($($argument:ident: $type:ty),* $(,)?) $body:block) => {
+        kernel!(@of $scalar, [$life, $scalar: $crate::nn::scalar::Scalar], [$life, $scalar], $(#[$attribute])* $visible fn $name($($argument: $type),*) -> () $body);
+    };
+    ($(#[$attribute:meta])* $visible:vis fn $name:ident<$life:lifetime, $scalar:ident>($($argument:ident: $type:ty),* $(,)?) -> $result:ty $body:block) => {
+        kernel!(@of $scalar, [$life, $scalar: $crate::nn::scalar::Scalar], [$life, $scalar], $(#[$attribute])* $visible fn $name($($argument: $type),*) -> $result $body);
+    };
+    (@of $scalar:ty, [$($generics:tt)*], [$($names:tt)*], $(#[$attribute:meta])* $visible:vis fn $name:ident($($argument:ident: $type:ty),*) -> $result:ty $body:block) => {
         $(#[$attribute])*
-        #[allow(clippy::too_many_arguments, unsafe_code)]
-        $visible fn $name<$scalar: $crate::nn::scalar::Scalar>($($argument: $type),*) $(-> $result)? {
-            #[inline(always)]
-            #[allow(clippy::extra_unused_type_parameters)]
-            fn body<$scalar: $crate::nn::scalar::Scalar, const FUSED: bool>($($argument: $type),*) $(-> $result)? $body
+        #[allow(clippy::too_many_arguments)]
+        $visible fn $name<$($generics)*>($($argument: $type),*) -> $result {
+            struct Loop<$($names)*> {
+                $($argument: $type,)*
+                of: std::marker::PhantomData<$scalar>,
+            }
 
-            #[cfg(target_arch = "x86_64")]
-            {
-                #[target_feature(enable = "avx2,fma")]
-                fn avx2<$scalar: $crate::nn::scalar::Scalar>($($argument: $type),*) $(-> $result)? {
-                    body::<$scalar, true>($($argument),*)
-                }
-                if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
-                    // SAFETY: the CPU has both features the function is compiled for.
-                    return unsafe { avx2::<$scalar>($($argument),*) };
+            impl<$($generics)*> $crate::real::Kernel<$scalar> for Loop<$($names)*> {
+                type Output = $result;
+
+                #[inline(always)]
+                fn run<L: $crate::real::Lanes<Scalar = $scalar>>(self) -> $result {
+                    let Self { $($argument,)* .. } = self;
+                    $body
                 }
             }
-            body::<$scalar, false>($($argument),*)
+
+            <$scalar as $crate::real::Real>::run(Loop { $($argument,)* of: std::marker::PhantomData })
         }
     };
 }

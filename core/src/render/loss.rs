@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 
 use super::{Grid, TILE, Tile, View, padded, planes, split_planes};
-use crate::brdf::real::{Arithmetic, Kernel, Lanes, Real, Wide};
 use crate::brdf::{Frame, FrameGradient};
 use crate::color::GAMMA;
 use crate::error::{Error, Result};
 use crate::maps::{Lobe, Maps};
+use crate::real::{Arithmetic, Kernel, Lanes, Real, Wide};
 use crate::shot::Shot;
 use crate::{memory, pool};
 

@@ -9,8 +9,8 @@ mod tape;
 
 use rayon::prelude::*;
 
-use crate::brdf::real::{Arithmetic, Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::brdf::{Directions, Frame, Response, Surface};
+use crate::real::{Arithmetic, Kernel, LANES_MAX, Lanes, Real, Wide};
 
 use crate::error::{Error, Result};
 use crate::image::Image;

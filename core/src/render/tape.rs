@@ -3,9 +3,9 @@
 use dfdx::prelude::*;
 
 use super::{Target, photo_loss};
-use crate::brdf::real::Real;
 use crate::error::{Error, Result};
 use crate::maps::{Lobe, Maps};
+use crate::real::Real;
 
 /// [`photo_loss`] of maps on a tape: a tensor (1, planes, height, width) gives the loss, and what calls `backward` on it, or on what is
 /// computed from it, gets the gradient with respect to the maps.

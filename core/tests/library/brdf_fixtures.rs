@@ -2,8 +2,8 @@
 
 use crate::common;
 use safetensors::SafeTensors;
-use svbrdf_gcn::brdf::real::Real;
 use svbrdf_gcn::brdf::{ROUGHNESS_MIN, Surface, shade_point, shade_point_gradient};
+use svbrdf_gcn::real::Real;
 use svbrdf_gcn::render::{Target, encode_radiance, photo_loss, render_maps};
 use svbrdf_gcn::{Lobe, Maps, Shot};
 

@@ -1,8 +1,8 @@
 //! What the renderer promises for all inputs in its ranges.
 
 use proptest::prelude::*;
-use svbrdf_gcn::brdf::real::Real;
 use svbrdf_gcn::brdf::{Surface, shade_point, shade_point_gradient};
+use svbrdf_gcn::real::Real;
 use svbrdf_gcn::render::{Target, encode_radiance, photo_loss, render_maps};
 use svbrdf_gcn::{Lobe, Maps, Shot};
 

@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
-use crate::brdf::real::{Kernel, Lanes, Real};
 use crate::color::Transfer;
 use crate::fit::shading::{bundle, unbundle};
+use crate::real::{Kernel, Lanes, Real};
 
 /// Pixels looked at to find the groups; more would only take longer.
 const SAMPLES: usize = 16_384;

@@ -7,10 +7,10 @@
 use rayon::prelude::*;
 
 use super::groups::Membership;
-use crate::brdf::real::{Kernel, Lanes, Real};
 use crate::fit::anisotropy;
 use crate::fit::options::Reflectance;
 use crate::maps::{DIFFUSE_PLANE, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
+use crate::real::{Kernel, Lanes, Real};
 
 /// Roughness is held above this; sharper lobes cannot be told apart at the resolution of photos.
 const ROUGHNESS_MIN: f32 = 0.02;

@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use super::SPECULAR_LOGIT;
 use super::parameters::{GROUP_STEP, Layout, TILT_STEP};
-use crate::brdf::real::{Arithmetic, Kernel, Lanes, Real, Wide};
 use crate::fit::anisotropy;
+use crate::real::{Arithmetic, Kernel, Lanes, Real, Wide};
 
 /// For [`Prior::photo`].
 pub(crate) const PHOTO_DEVIATION: f64 = 0.2;

@@ -14,11 +14,11 @@
 use rayon::prelude::*;
 
 use super::groups::Membership;
-use crate::brdf::real::{Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::capture::{Capture, Photo};
 use crate::color::GAMMA;
 use crate::fit::options::Reflectance;
 use crate::fit::shading::{Geometry, LobeFrame, Parts, Stretch, bundle, saturated, shape, unbundle};
+use crate::real::{Kernel, LANES_MAX, Lanes, Real, Wide};
 use crate::render::encode;
 
 /// Pixels of a group that are looked at.
@@ -437,12 +437,12 @@ pub(super) fn flat_albedo(photo: &Photo, position: [f64; 2], pixel: usize) -> [f
 #[cfg(test)]
 mod tests {
     use super::{Explain, Prior, Shape, diffuse, search};
-    use crate::brdf::real::Real;
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::fit::options::Reflectance;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
+    use crate::real::Real;
     use crate::render::render_maps;
     use crate::shot::Shot;
 

@@ -13,7 +13,6 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use crate::brdf::real::Real;
 use crate::capture::{Capture, Photo};
 use crate::error::{Error, Result};
 use crate::fit::direct::light;
@@ -22,6 +21,7 @@ use crate::fit::report::StageReport;
 use crate::fit::verdict::Expected;
 use crate::progress::{Control, Stage};
 use crate::raw::RAW;
+use crate::real::Real;
 use crate::render::encode_radiance;
 use crate::shot::Shot;
 use pixel::{Fit, Fitted, Pixels, Place};

@@ -3,11 +3,11 @@
 
 use super::weighting::Weighting;
 use super::{Problem, View};
-use crate::brdf::real::{Kernel, Lanes, Real};
 use crate::cholesky::Cholesky;
 use crate::fit::options::Reflectance;
 use crate::fit::shading::{CodeJacobian, FLAT_LIMIT, Geometry, Surface, bundle, saturated, unbundle};
 use crate::raw::{NORMAL, RAW, ROUGHNESS, SPECULAR};
+use crate::real::{Kernel, Lanes, Real};
 use crate::shot::Shot;
 
 /// Residuals beyond so many deviations count less and less (Cauchy).
@@ -388,12 +388,12 @@ mod tests {
     use super::super::Problem;
     use super::super::weighting::Weighting;
     use super::{Fit, Fitted, Pixels, Place};
-    use crate::brdf::real::Real;
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::fit::options::Reflectance;
     use crate::image::Image;
     use crate::raw::RAW;
+    use crate::real::Real;
     use crate::shot::Shot;
 
     /// Pixels that are not a whole number of bundles, one of them saturated.

@@ -4,13 +4,13 @@ use rayon::prelude::*;
 
 use super::pixel::{Fit, Look, Pixels, Place, Predict, places};
 use super::{Fold, Problem, Rehearsal};
-use crate::brdf::real::Real;
 use crate::error::Result;
 use crate::fit::optim::holdout::grid;
 use crate::fit::verdict::Expected;
 use crate::metrics::code_rmse_smooth_gain;
 use crate::progress::Control;
 use crate::raw::RAW;
+use crate::real::Real;
 use crate::shot::Shot;
 
 /// Candidates for the standard deviation of what the model cannot explain in a photo, gamma 2.2 encoded.

@@ -15,10 +15,7 @@
 
 #[allow(unsafe_code)]
 mod buffer;
-#[allow(unsafe_code)]
 mod kernels;
-#[allow(unsafe_code)]
-mod lanes;
 mod layers;
 
 use std::array;
@@ -29,10 +26,10 @@ use rayon::prelude::*;
 
 use self::buffer::Buffer;
 use self::kernels::{Dense, Rows, Window};
-use self::lanes::{Isa, LANES};
 use self::layers::{Layers, Sum, Sums, sum_lengths};
 use crate::error::{Error, Result};
 use crate::nn::AdapterParams;
+use crate::real::LANES_MAX;
 
 /// Rows of a chunk. A chunk computes up to two rows beyond its ends again.
 const CHUNK: usize = 32;
@@ -58,7 +55,6 @@ const TILE: usize = 128;
 pub struct Adapters {
     shape: Shape,
     outputs: Vec<usize>,
-    isa: Isa,
     /// Where the rows of up to 2 m channels begin in kept rows, and in rows of a tile.
     wide: Vec<usize>,
     narrow: Vec<usize>,
@@ -88,21 +84,17 @@ struct Shape {
 impl Shape {
     /// Values from one row of rows-with-padding to the next.
     fn padded(self) -> usize {
-        self.stride + LANES
+        self.stride + LANES_MAX
     }
 
     /// Values of `channels` padded rows: every row has at least one zero on either side.
     fn slot(self, channels: usize) -> usize {
-        channels * self.padded() + 2 * LANES
+        channels * self.padded() + 2 * LANES_MAX
     }
 
     /// Values of a row of all channels.
     fn row(self) -> usize {
         self.channels * self.stride
-    }
-
-    fn vectors(self) -> usize {
-        self.stride / LANES
     }
 
     /// Zeros the columns beyond the width in rows that are `stride` apart.
@@ -130,13 +122,13 @@ impl Ring {
 
     /// Where the first value of row `row` (-1 and beyond the height included) lies.
     fn at(&self, row: isize) -> usize {
-        row.rem_euclid(self.slots as isize) as usize * self.slot + LANES
+        row.rem_euclid(self.slots as isize) as usize * self.slot + LANES_MAX
     }
 
     /// The values from the first of row `row` on.
     fn row_mut(&mut self, row: isize) -> &mut [f32] {
         let at = self.at(row);
-        &mut self.values[at..at - LANES + self.slot]
+        &mut self.values[at..at - LANES_MAX + self.slot]
     }
 
     /// Places of the nine neighbours of the first pixel of row `row`, for each of `channels` channels: (channel, tap).
@@ -213,14 +205,15 @@ impl Scratch {
                 d_normal: tile(m),
             },
             places: Vec::new(),
-            sums: sum_lengths(m, outputs).map(|len| Buffer::new(len * LANES)),
+            sums: sum_lengths(m, outputs).map(|len| Buffer::new(len * LANES_MAX)),
         }
     }
 
     /// The sums over lanes of what was gathered since the last call.
     fn take_sums(&mut self) -> Sums {
         array::from_fn(|i| {
-            let sums = self.sums[i].chunks_exact(LANES).map(|lanes| lanes.iter().map(|&lane| f64::from(lane)).sum());
+            let sums =
+                self.sums[i].chunks_exact(LANES_MAX).map(|lanes| lanes.iter().map(|&lane| f64::from(lane)).sum());
             let sums = sums.collect();
             self.sums[i].fill(0.0);
             sums
@@ -256,12 +249,11 @@ impl Adapters {
             let reason = format!("{channels} channels of {height} x {width} to {outputs:?} planes: nothing may be 0");
             return Err(Error::invalid("adapters", reason));
         }
-        let shape = Shape { channels, width, height, stride: width.next_multiple_of(LANES) };
+        let shape = Shape { channels, width, height, stride: width.next_multiple_of(LANES_MAX) };
         let kept = height * shape.row();
         let mut adapters = Self {
             shape,
             outputs: outputs.to_vec(),
-            isa: Isa::detect(),
             wide: (0..2 * channels).map(|channel| channel * shape.stride).collect(),
             narrow: (0..2 * channels).map(|channel| channel * TILE).collect(),
             feature: Buffer::new(kept),
@@ -289,13 +281,13 @@ impl Adapters {
         let Shape { channels, width, height, stride } = self.shape;
         check_len("feature", channels * height * width, feature.len())?;
         self.layers.clear();
-        let (shape, isa) = (self.shape, self.isa);
+        let shape = self.shape;
         let rows = self.feature.par_chunks_mut(shape.row()).zip(self.normal.par_chunks_mut(shape.row()));
         rows.zip(self.scale.par_chunks_mut(stride)).enumerate().for_each(|(row, ((target, normal), scale))| {
             for (channel, target) in target.chunks_mut(stride).enumerate() {
                 target[..width].copy_from_slice(&feature[(channel * height + row) * width..][..width]);
             }
-            kernels::normalize(isa, channels, target, stride, normal, stride, scale, shape.vectors());
+            kernels::normalize(channels, target, normal, stride, scale, stride);
             shape.clear_tails(normal, stride, channels);
         });
         Ok(())
@@ -425,12 +417,12 @@ impl Adapters {
 
     /// Pass 1 of a chunk: writes the gate's result, returns its sum over the chunk per channel.
     fn gate_chunk(&self, adapter: usize, chunk: usize, rows: &mut [f32], scratch: &mut Scratch) -> Vec<f64> {
-        let (shape, isa, layers) = (self.shape, self.isa, &self.layers[adapter]);
+        let (shape, layers) = (self.shape, &self.layers[adapter]);
         let Shape { channels: m, stride, .. } = shape;
         let (start, count) = (chunk * CHUNK, rows.len() / shape.row());
         let half = m * stride;
         let places = &self.wide[..m];
-        let mut totals = vec![0.0; m * LANES];
+        let mut totals = vec![0.0; m * LANES_MAX];
         let mut next = start as isize - 1;
         for first in (0..count).step_by(2) {
             let pair = 2.min(count - first);
@@ -442,12 +434,12 @@ impl Adapters {
             self.conv2_rows(layers, top, pair, &scratch.conv1, &mut scratch.conv2);
             for (j, target) in rows[first * shape.row()..][..pair * shape.row()].chunks_mut(shape.row()).enumerate() {
                 let (left, right) = scratch.conv2[2 * j * half..][..2 * half].split_at(half);
-                kernels::product(isa, left, right, target);
+                kernels::product(left, 0.0, right, target);
                 shape.clear_tails(target, stride, m);
-                kernels::sum(isa, &mut totals, Rows { values: target, offsets: places }, shape.vectors());
+                kernels::sum(&mut totals, Rows { values: target, offsets: places }, shape.stride);
             }
         }
-        totals.chunks(LANES).map(|lanes| lanes.iter().map(|&lane| f64::from(lane)).sum()).collect()
+        totals.chunks(LANES_MAX).map(|lanes| lanes.iter().map(|&lane| f64::from(lane)).sum()).collect()
     }
 
     /// conv1 of row `row` into its slot; zeros for a row outside the picture.
@@ -460,7 +452,7 @@ impl Adapters {
         }
         let source = &self.normal[row as usize * shape.row()..][..shape.row()];
         let source = Rows { values: source, offsets: &self.wide[..shape.channels] };
-        kernels::dense(self.isa, &layers.conv1, source, None, target, shape.padded(), shape.vectors());
+        kernels::dense(&layers.conv1, source, None, target, shape.padded(), shape.stride);
         shape.clear_tails(target, shape.padded(), 2 * shape.channels);
     }
 
@@ -470,14 +462,14 @@ impl Adapters {
         let rows: [usize; 4] = array::from_fn(|n| source.at(top - 1 + n as isize));
         let source = Window { values: &source.values, rows: &rows[..count + 2], stride: shape.padded() };
         let targets = [0, 2 * shape.row()];
-        kernels::depthwise(self.isa, &layers.conv2, source, target, &targets[..count], shape.stride, shape.vectors());
+        kernels::depthwise(&layers.conv2, source, target, &targets[..count], shape.stride, shape.stride);
     }
 
     /// From the gate's result to the result of the block, for one tile: columns from `x` on of row `row`.
     fn middle(&self, adapter: usize, row: usize, x: usize, tile: &mut Tile, out: &mut [f32], stride: usize) {
-        let (shape, isa, layers) = (self.shape, self.isa, &self.layers[adapter]);
+        let (shape, layers) = (self.shape, &self.layers[adapter]);
         let m = shape.channels;
-        let vectors = TILE.min(shape.stride - x) / LANES;
+        let len = TILE.min(shape.stride - x);
         let kept = row * shape.row() + x;
         let gate = &self.gates[adapter * shape.height * shape.row()..][kept..];
         let feature = &self.feature[kept..];
@@ -486,18 +478,18 @@ impl Adapters {
         let ahead = if x + TILE < shape.stride { TILE } else { shape.row() - x };
         for rows in [gate, feature] {
             if let Some(values) = rows.get(ahead..) {
-                kernels::prefetch(Rows { values, offsets: wide }, vectors);
+                kernels::prefetch(Rows { values, offsets: wide }, len);
             }
         }
         let dense =
             |layer: &Dense, source: Rows<'_>, residual: Option<(&[f32], usize)>, target: &mut [f32], stride: usize| {
-                kernels::dense(isa, layer, source, residual, target, stride, vectors);
+                kernels::dense(layer, source, residual, target, stride, len);
             };
         dense(&layers.mix, Rows { values: gate, offsets: wide }, Some((feature, shape.stride)), &mut tile.middle, TILE);
-        kernels::normalize(isa, m, &tile.middle, TILE, &mut tile.normal, TILE, &mut tile.scale, vectors);
+        kernels::normalize(m, &tile.middle, &mut tile.normal, TILE, &mut tile.scale, len);
         dense(&layers.conv4, Rows { values: &tile.normal, offsets: narrow }, None, &mut tile.conv4, TILE);
         let (left, right) = tile.conv4.split_at(m * TILE);
-        kernels::product(isa, left, right, &mut tile.gate);
+        kernels::product(left, 0.0, right, &mut tile.gate);
         dense(&layers.out, Rows { values: &tile.gate, offsets: narrow }, Some((&tile.middle, TILE)), out, stride);
     }
 
@@ -525,7 +517,7 @@ impl Adapters {
             }
             scratch.out.neighbours(row, m, shape.padded(), false, &mut scratch.places);
             let source = Rows { values: &scratch.out.values, offsets: &scratch.places };
-            kernels::dense(self.isa, &layers.end, source, None, &mut scratch.raw, stride, shape.vectors());
+            kernels::dense(&layers.end, source, None, &mut scratch.raw, stride, shape.stride);
             for (plane, raw) in planes.iter_mut().zip(scratch.raw.chunks(stride)) {
                 plane[j * width..][..width].copy_from_slice(&raw[..width]);
             }
@@ -577,7 +569,7 @@ impl Adapters {
         wants: Wants,
         scratch: &mut Scratch,
     ) {
-        let (shape, isa, layers) = (self.shape, self.isa, &self.layers[adapter]);
+        let (shape, layers) = (self.shape, &self.layers[adapter]);
         let Shape { channels: m, width, height, stride } = shape;
         let outputs = self.outputs[adapter];
         let planes = &d_raw[self.outputs[..adapter].iter().sum::<usize>() * height * width..];
@@ -601,65 +593,48 @@ impl Adapters {
             ring.neighbours(row as isize, outputs, shape.padded(), true, places);
             let kept = row * shape.row();
             for x in (0..stride).step_by(TILE) {
-                let vectors = TILE.min(stride - x) / LANES;
+                let len = TILE.min(stride - x);
                 let mut out = std::mem::take(&mut tile.out);
                 self.middle(adapter, row, x, tile, &mut out, TILE);
                 tile.out = out;
-                let used = shape.width.saturating_sub(x).min(vectors * LANES);
+                let used = shape.width.saturating_sub(x).min(len);
                 let clear = |rows: &mut [f32]| {
-                    if used < vectors * LANES {
-                        rows.chunks_mut(TILE).for_each(|row| row[used..vectors * LANES].fill(0.0));
+                    if used < len {
+                        rows.chunks_mut(TILE).for_each(|row| row[used..len].fill(0.0));
                     }
                 };
                 clear(&mut tile.out);
 
                 let d_planes = Rows { values: &ring.values[x..], offsets: places };
-                kernels::dense(isa, &layers.end_transposed, d_planes, None, &mut tile.d_out, TILE, vectors);
+                kernels::dense(&layers.end_transposed, d_planes, None, &mut tile.d_out, TILE, len);
                 clear(&mut tile.d_out);
                 let d_out = Rows { values: &tile.d_out, offsets: &narrow[..m] };
-                kernels::dense(isa, &layers.out_transposed, d_out, None, &mut tile.d_gate, TILE, vectors);
+                kernels::dense(&layers.out_transposed, d_out, None, &mut tile.d_gate, TILE, len);
                 let (left, right) = tile.conv4.split_at(m * TILE);
                 let (d_left, d_right) = tile.d_conv4.split_at_mut(m * TILE);
-                kernels::product(isa, &tile.d_gate, right, d_left);
-                kernels::product(isa, &tile.d_gate, left, d_right);
+                kernels::product(&tile.d_gate, 0.0, right, d_left);
+                kernels::product(&tile.d_gate, 0.0, left, d_right);
                 let d_conv4 = Rows { values: &tile.d_conv4, offsets: narrow };
-                kernels::dense(isa, &layers.conv4_transposed, d_conv4, None, &mut tile.d_normal, TILE, vectors);
+                kernels::dense(&layers.conv4_transposed, d_conv4, None, &mut tile.d_normal, TILE, len);
 
                 let tile_rows = |values| Rows { values, offsets: &narrow[..m] };
                 if wants.params {
-                    let mut outer =
-                        |sum: Sum, left, right| kernels::outer(isa, &mut sums[sum as usize], left, right, vectors);
+                    let mut outer = |sum: Sum, left, right| kernels::outer(&mut sums[sum as usize], left, right, len);
                     outer(Sum::End, d_planes, tile_rows(&tile.out));
                     outer(Sum::Out, d_out, tile_rows(&tile.gate));
                     outer(Sum::Conv4, d_conv4, tile_rows(&tile.normal));
                 }
                 // From here on `d_out` is the gradient of `middle`.
-                kernels::normalize_backward(
-                    isa,
-                    m,
-                    &tile.d_normal,
-                    TILE,
-                    &tile.normal,
-                    TILE,
-                    &tile.scale,
-                    &mut tile.d_out,
-                    TILE,
-                    vectors,
-                );
+                let d_out = &mut tile.d_out;
+                kernels::normalize_backward(m, &tile.d_normal, &tile.normal, &tile.scale, d_out, TILE, len);
                 let d_middle = tile_rows(&tile.d_out);
                 let gate = &self.gates[adapter * height * shape.row()..][kept + x..];
-                kernels::outer(
-                    isa,
-                    &mut sums[Sum::Mix as usize],
-                    d_middle,
-                    Rows { values: gate, offsets: wide },
-                    vectors,
-                );
-                kernels::dense(isa, &layers.mix_transposed, d_middle, None, &mut gradient[x..], stride, vectors);
+                kernels::outer(&mut sums[Sum::Mix as usize], d_middle, Rows { values: gate, offsets: wide }, len);
+                kernels::dense(&layers.mix_transposed, d_middle, None, &mut gradient[x..], stride, len);
                 if let Some(features) = &mut features {
                     for channel in 0..m {
-                        features[j * shape.row() + channel * stride + x..][..vectors * LANES]
-                            .copy_from_slice(&tile.d_out[channel * TILE..][..vectors * LANES]);
+                        features[j * shape.row() + channel * stride + x..][..len]
+                            .copy_from_slice(&tile.d_out[channel * TILE..][..len]);
                     }
                 }
             }
@@ -732,7 +707,7 @@ impl Adapters {
 
     /// The gradient of conv2's result in one or two rows; zeros outside the picture.
     fn d_conv2_rows(&self, adapter: usize, top: isize, count: usize, offsets: &[f32], scratch: &mut Scratch) {
-        let (shape, isa) = (self.shape, self.isa);
+        let shape = self.shape;
         let Shape { channels: m, stride, .. } = shape;
         let inside = top >= 0 && top < shape.height as isize;
         if inside {
@@ -751,9 +726,9 @@ impl Adapters {
                 let of = channel * stride..(channel + 1) * stride;
                 let gradient = &gradient[of.clone()];
                 let at = channel * shape.padded();
-                kernels::offset_product(isa, gradient, offset, &right[of.clone()], &mut target[at..at + stride]);
+                kernels::product(gradient, offset, &right[of.clone()], &mut target[at..at + stride]);
                 let at = (m + channel) * shape.padded();
-                kernels::offset_product(isa, gradient, offset, &left[of], &mut target[at..at + stride]);
+                kernels::product(gradient, offset, &left[of], &mut target[at..at + stride]);
             }
             shape.clear_tails(target, shape.padded(), 2 * m);
         }
@@ -761,14 +736,14 @@ impl Adapters {
 
     /// Adds one or two rows to the gradients of conv2.
     fn conv2_sums(&self, top: isize, count: usize, scratch: &mut Scratch) {
-        let (shape, isa) = (self.shape, self.isa);
+        let shape = self.shape;
         let channels = 2 * shape.channels;
         let Scratch { conv1, d_conv2, sums, .. } = scratch;
         let rows: [usize; 2] = array::from_fn(|j| d_conv2.at(top + j as isize));
         let sources: [usize; 4] = array::from_fn(|n| conv1.at(top - 1 + n as isize));
         let gradient = Window { values: &d_conv2.values, rows: &rows[..count], stride: shape.padded() };
         let source = Window { values: &conv1.values, rows: &sources[..count + 2], stride: shape.padded() };
-        kernels::depthwise_weights(isa, &mut sums[Sum::Conv2 as usize], gradient, source, channels, shape.vectors());
+        kernels::depthwise_weights(&mut sums[Sum::Conv2 as usize], gradient, source, channels, shape.stride);
     }
 
     /// The gradient of conv1's result in one or two rows, added to the gradients of conv1 and taken on to the feature.
@@ -781,14 +756,14 @@ impl Adapters {
         wants: Wants,
         scratch: &mut Scratch,
     ) {
-        let (shape, isa) = (self.shape, self.isa);
+        let shape = self.shape;
         let Shape { channels: m, stride, .. } = shape;
         let Scratch { d_conv2, d_conv1, d_normal, sums, .. } = scratch;
         let rows: [usize; 4] = array::from_fn(|n| d_conv2.at(top - 1 + n as isize));
         let source = Window { values: &d_conv2.values, rows: &rows[..count + 2], stride: shape.padded() };
         let targets = [0, 2 * shape.row()];
         let taps = &layers.conv2_transposed;
-        kernels::depthwise(isa, taps, source, d_conv1, &targets[..count], stride, shape.vectors());
+        kernels::depthwise(taps, source, d_conv1, &targets[..count], stride, shape.stride);
         let places = &self.wide[..];
         for (j, gradient) in d_conv1.chunks_mut(2 * shape.row()).take(count).enumerate() {
             shape.clear_tails(gradient, stride, 2 * m);
@@ -797,24 +772,13 @@ impl Adapters {
             let gradient = Rows { values: gradient, offsets: places };
             if wants.params {
                 let normal = Rows { values: normal, offsets: &places[..m] };
-                kernels::outer(isa, &mut sums[Sum::Conv1 as usize], gradient, normal, shape.vectors());
+                kernels::outer(&mut sums[Sum::Conv1 as usize], gradient, normal, shape.stride);
             }
             if let Some(features) = &mut features {
-                kernels::dense(isa, &layers.conv1_transposed, gradient, None, d_normal, stride, shape.vectors());
+                kernels::dense(&layers.conv1_transposed, gradient, None, d_normal, stride, shape.stride);
                 let scale = &self.scale[row * stride..][..stride];
                 let target = &mut features[j * shape.row()..][..shape.row()];
-                kernels::normalize_backward(
-                    isa,
-                    m,
-                    d_normal,
-                    stride,
-                    normal,
-                    stride,
-                    scale,
-                    target,
-                    stride,
-                    shape.vectors(),
-                );
+                kernels::normalize_backward(m, d_normal, normal, scale, target, stride, stride);
             }
         }
     }
@@ -862,38 +826,5 @@ fn check_len(name: &str, expected: usize, got: usize) -> Result<()> {
         Ok(())
     } else {
         Err(Error::shape(name, format!("{expected} values"), format!("{got} values")))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Adapters;
-    use super::lanes::Isa;
-    use crate::nn::AdapterParams;
-
-    #[test]
-    fn plain_arrays_give_what_vectors_give() {
-        let (width, height, outputs) = (150, 37, [2, 3]);
-        let noise = |len: usize| -> Vec<f32> {
-            (0..len).map(|i| ((i as f64 * 0.618_033_988_75 + 0.3).fract() - 0.5) as f32).collect()
-        };
-        for channels in [9, 14] {
-            let feature = noise(channels * width * height);
-            let params = noise(outputs.iter().map(|&k| AdapterParams::len_for(channels, k)).sum());
-            let run = |isa: Isa| {
-                let mut adapters = Adapters::new(&feature, channels, &outputs, width, height).unwrap();
-                adapters.isa = isa;
-                adapters.set_feature(&feature).unwrap();
-                let mut raw = vec![0.0; adapters.raw_len()];
-                let (mut d_params, mut d_feature) = (vec![0.0; params.len()], vec![0.0; feature.len()]);
-                adapters.forward(&params, &mut raw).unwrap();
-                adapters.backward(&raw, Some(&mut d_params), Some(&mut d_feature)).unwrap();
-                [raw, d_params, d_feature]
-            };
-            for (plain, vectors) in run(Isa::portable()).iter().zip(&run(Isa::detect())) {
-                let scale = plain.iter().fold(0.0f32, |scale, x| scale.max(x.abs()));
-                assert!(plain.iter().zip(vectors).all(|(a, b)| (a - b).abs() <= 1e-5 * scale), "{scale}");
-            }
-        }
     }
 }

@@ -24,7 +24,7 @@ pub(crate) fn channel_attention<E: Scalar, T: Tape<E, Cpu>>(
     expect("attention weight", weight, channels * channels)?;
     expect("attention bias", bias, channels)?;
     let mut mean = channel_sums(x.values(), layout, |row, _| sum(row));
-    mean.iter_mut().for_each(|mean| *mean *= E::of(1.0 / layout.pixels() as f64));
+    mean.iter_mut().for_each(|mean| *mean *= E::splat(1.0 / layout.pixels() as f64));
     let factor = affine(weight.values(), &mean, bias.values());
     let mut out = x.pool().take(layout.len());
     let bands = out.par_chunks_mut(layout.band_len()).zip(x.values().par_chunks(layout.band_len()));
@@ -85,7 +85,7 @@ pub(crate) fn pooled_gradient<E: Scalar>(weight: &[E], dfactor: &[E], pixels: us
     let weight = Matrix::new(weight, channels, channels).transposed();
     multiply(&mut share, false, weight, Matrix::new(dfactor, channels, 1));
     let mut out = vec![E::default(); channels];
-    scale(&mut out, &share, &vec![E::of(1.0 / pixels as f64); channels]);
+    scale(&mut out, &share, &vec![E::splat(1.0 / pixels as f64); channels]);
     out
 }
 

@@ -174,7 +174,7 @@ fn neighbourhood_means<E: Scalar>(x: &[E], layout: Layout) -> Vec<E> {
         }
         sums
     };
-    (0..layout.channels).into_par_iter().flat_map_iter(|c| of_channel(c).map(|sum| E::of(sum * share))).collect()
+    (0..layout.channels).into_par_iter().flat_map_iter(|c| of_channel(c).map(|sum| E::splat(sum * share))).collect()
 }
 
 /// Whether a tap's row offset keeps `row` in sight of some output pixel.
@@ -188,7 +188,7 @@ fn tap_sees_row(tap: usize, row: usize, layout: Layout) -> bool {
 
 /// Adds the gradient that comes through [`neighbourhood_means`].
 fn add_means_gradient<E: Scalar>(dx: &mut [E], layout: Layout, dmeans: &[E]) {
-    let share = E::of(1.0 / layout.pixels() as f64);
+    let share = E::splat(1.0 / layout.pixels() as f64);
     for channel in 0..layout.channels {
         for row in 0..layout.height {
             let mut slopes = [E::default(); 3];

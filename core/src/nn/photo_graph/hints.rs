@@ -49,7 +49,7 @@ impl<E: Scalar> Hints<E> {
     pub fn add(&mut self, photo: &[E]) {
         let first = self.photos == 0;
         self.photos += 1;
-        let share = E::of(1.0 / self.photos as f64);
+        let share = E::splat(1.0 / self.photos as f64);
         let bands = self.sums.par_chunks_mut(self.layout.band_len());
         let inputs = photo.par_chunks(self.layout.with_channels(INPUTS).band_len());
         bands.zip(inputs).for_each(|(band, photo)| {
@@ -69,7 +69,7 @@ impl<E: Scalar> Hints<E> {
     /// What the photos amount to: ([`HINTS`], H, W).
     pub fn finish(self, pool: &Pool<E>) -> Result<Planes<E>> {
         let to = self.layout.with_channels(HINTS);
-        let share = E::of(1.0 / self.photos as f64);
+        let share = E::splat(1.0 / self.photos as f64);
         let mut out = pool.take(to.len());
         out.par_chunks_mut(to.band_len()).zip(self.sums.par_chunks(self.layout.band_len())).for_each(|(out, band)| {
             let pixels = band.len() / SUMS;
@@ -92,7 +92,7 @@ fn gather<E: Scalar>(band: &[E], pixels: usize, pixel: usize) -> [E; SUMS] {
 /// The mean over colours.
 #[inline(always)]
 fn grey<E: Scalar>(color: [E; 3]) -> E {
-    (color[0] + color[1] + color[2]) * E::of(1.0 / 3.0)
+    (color[0] + color[1] + color[2]) * E::splat(1.0 / 3.0)
 }
 
 #[inline(always)]
@@ -102,7 +102,7 @@ fn mean_ratio<E: Scalar>(sums: &[E; SUMS]) -> [E; 3] {
 
 #[inline(always)]
 fn at_least<E: Scalar>(value: E, least: f64) -> E {
-    let least = E::of(least);
+    let least = E::splat(least);
     if value < least { least } else { value }
 }
 
@@ -137,14 +137,14 @@ fn take_in<E: Scalar>(sums: &mut [E; SUMS], ratio: [E; 3], half: [E; 2], share: 
 /// The hints of a pixel; `share` is the reciprocal of the number of photos.
 #[inline(always)]
 fn hints<E: Scalar>(sums: &[E; SUMS], share: E) -> [E; HINTS] {
-    let ridge = E::of(HINT_RIDGE);
+    let ridge = E::splat(HINT_RIDGE);
     let mean = |at: usize| sums[at] * share;
     let (xx, yy, xy) = (mean(SQUARES) + ridge, mean(SQUARES + 1) + ridge, mean(SQUARES + 2));
     let with_code = [mean(WITH_CODE), mean(WITH_CODE + 1)];
     let ratio = mean_ratio(sums);
-    let scale = E::of(1.0) / ((xx * yy - xy * xy) * at_least(grey(ratio), CODE_MIN));
+    let scale = E::splat(1.0) / ((xx * yy - xy * xy) * at_least(grey(ratio), CODE_MIN));
     let slope = [yy * with_code[0] - xy * with_code[1], xx * with_code[1] - xy * with_code[0]].map(|slope| {
-        let (slope, most) = (at_least(slope * scale, -SLOPE_MAX), E::of(SLOPE_MAX));
+        let (slope, most) = (at_least(slope * scale, -SLOPE_MAX), E::splat(SLOPE_MAX));
         if slope > most { most } else { slope }
     });
     let weight = at_least(sums[WEIGHT], WEIGHT_MIN);
@@ -196,7 +196,7 @@ mod tests {
         let pool = Pool::default();
         let mut hints = Hints::<E>::new(layout, &pool);
         for photo in photos {
-            let planes: Vec<E> = photo.iter().map(|&value| E::of(value)).collect();
+            let planes: Vec<E> = photo.iter().map(|&value| E::splat(value)).collect();
             hints.add(&layout.pack(&planes, SIZE.0, SIZE.1));
         }
         let planes = hints.finish(&pool).unwrap();

@@ -258,7 +258,7 @@ impl<E: Scalar> Net<E> {
 
 /// A logarithm of a standard deviation within its bounds; not a number stays what it is.
 pub(super) fn bounded_log_sigma<E: Scalar>(value: E) -> E {
-    let (low, high) = (E::of(LOG_SIGMA[0]), E::of(LOG_SIGMA[1]));
+    let (low, high) = (E::splat(LOG_SIGMA[0]), E::splat(LOG_SIGMA[1]));
     if value < low {
         low
     } else if value > high {
@@ -275,7 +275,7 @@ fn half_layout(layout: Layout) -> Layout {
 
 /// Planes `first..first + count`, averaged over 2x2 pixels.
 pub(super) fn halved<E: Scalar>(x: &Planes<E>, first: usize, count: usize) -> Result<Planes<E>> {
-    let (from, quarter) = (x.layout, E::of(0.25));
+    let (from, quarter) = (x.layout, E::splat(0.25));
     let to = half_layout(from).with_channels(count);
     let mut out = x.pool().take(to.len());
     out.par_chunks_mut(to.band_len()).enumerate().for_each(|(band, out)| {

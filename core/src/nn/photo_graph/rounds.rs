@@ -81,7 +81,7 @@ impl<E: Scalar> Round<E> {
         }
 
         let (dim, share) = (inner / heads, channels / heads);
-        let scale = E::of(1.0 / (dim as f64).sqrt());
+        let scale = E::splat(1.0 / (dim as f64).sqrt());
         let mut logits = pool.take(count * pixels);
         let (mut largest, mut sums) = (pool.take(pixels), pool.take(pixels));
         let mut brought = pool.take(channels * pixels);
@@ -139,7 +139,7 @@ impl<E: Scalar> Pooling<E> {
     /// Takes in the features of one more photo.
     pub fn add(&mut self, features: &[E]) {
         self.photos += 1;
-        let (first, share) = (self.photos == 1, E::of(1.0 / self.photos as f64));
+        let (first, share) = (self.photos == 1, E::splat(1.0 / self.photos as f64));
         let bands = self.values.par_chunks_mut(Self::layout(self.layout).band_len());
         bands.zip(features.par_chunks(self.layout.band_len())).for_each(|(band, x)| {
             let (mean, rest) = band.split_at_mut(x.len());
@@ -158,11 +158,11 @@ impl<E: Scalar> Pooling<E> {
     /// What the photos amount to, with their `hints` ([`HINTS`], H, W): (3 C + [`HINTS`] + 1, H, W).
     pub fn finish(mut self, hints: &Planes<E>) -> Result<Planes<E>> {
         let (to, channels) = (Self::layout(self.layout), self.layout.channels);
-        let share = E::of(1.0 / self.photos as f64);
+        let share = E::splat(1.0 / self.photos as f64);
         let hints = hints.values().par_chunks(to.with_channels(HINTS).band_len());
         self.values.par_chunks_mut(to.band_len()).zip(hints).for_each(|(band, hints)| {
             let pixels = band.len() / to.channels;
-            deviation(&mut band[2 * channels * pixels..3 * channels * pixels], share, E::of(SPREAD_EPSILON));
+            deviation(&mut band[2 * channels * pixels..3 * channels * pixels], share, E::splat(SPREAD_EPSILON));
             let (before, last) = band[3 * channels * pixels..].split_at_mut(hints.len());
             before.copy_from_slice(hints);
             last.fill(share);

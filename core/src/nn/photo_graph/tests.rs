@@ -93,7 +93,7 @@ fn run<E: Scalar>(net: &Net<E>, config: &PhotoGraphConfig, inputs: &[f64], size:
     let layout = padded(config, size.0, size.1);
     let photos: Vec<Vec<E>> = inputs
         .chunks_exact(INPUTS * size.0 * size.1)
-        .map(|planes| planes.iter().map(|&value| E::of(value)).collect())
+        .map(|planes| planes.iter().map(|&value| E::splat(value)).collect())
         .collect();
     let photo =
         |index: usize, pool: &Pool<E>| Planes::pooled(layout.pack(&photos[index], size.0, size.1), layout, pool);
@@ -138,7 +138,7 @@ fn hints<E: Scalar>(config: &PhotoGraphConfig, inputs: &[f64]) -> Vec<f64> {
     let (layout, pool) = (padded(config, SIZE.0, SIZE.1), Pool::default());
     let mut hints = Hints::<E>::new(layout, &pool);
     for planes in inputs.chunks_exact(INPUTS * SIZE.0 * SIZE.1) {
-        let planes: Vec<E> = planes.iter().map(|&value| E::of(value)).collect();
+        let planes: Vec<E> = planes.iter().map(|&value| E::splat(value)).collect();
         hints.add(&layout.pack(&planes, SIZE.0, SIZE.1));
     }
     let planes = hints.finish(&pool).unwrap();

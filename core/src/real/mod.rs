@@ -30,6 +30,9 @@ use sealed::Sealed;
 pub trait Arithmetic:
     Sealed + Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self>
 {
+    /// Whether [`Arithmetic::mul_add`] rounds once.
+    const FUSED: bool;
+
     /// `value`, rounded to this precision, in every element.
     fn splat(value: f64) -> Self;
 
@@ -150,6 +153,8 @@ pub trait Kernel<R: Real> {
 macro_rules! scalar {
     ($type:ident) => {
         impl Arithmetic for $type {
+            const FUSED: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));
+
             #[inline(always)]
             fn splat(value: f64) -> Self {
                 value as $type
@@ -158,7 +163,7 @@ macro_rules! scalar {
             // The library function would be a call on processors without the instruction, and slower than all the rest.
             #[inline(always)]
             fn mul_add(self, factor: Self, term: Self) -> Self {
-                self * factor + term
+                if Self::FUSED { $type::mul_add(self, factor, term) } else { self * factor + term }
             }
 
             #[inline(always)]

@@ -91,6 +91,8 @@ macro_rules! bundles {
         }
 
         impl Arithmetic for $Single {
+            const FUSED: bool = true;
+
             #[inline(always)]
             fn splat(value: f64) -> Self {
                 Self(intrinsic!($splat(value as f32)))
@@ -108,6 +110,8 @@ macro_rules! bundles {
         }
 
         impl Arithmetic for $Double {
+            const FUSED: bool = true;
+
             #[inline(always)]
             fn splat(value: f64) -> Self {
                 let value = intrinsic!($splat2(value));
