@@ -8,7 +8,7 @@
 //! Adam minimises, over the diffuse logits `d`, slopes `m`, own offsets `o` and group offsets `g` of specular albedo and roughness, and the tilt `t`,
 //!
 //! ```text
-//! 1000 mean_r r^2 + u (sum (d - d0)^2 / sd^2 + sum m^2 / sm^2 + sum o^2 / so^2 + e P/G sum g^2 / sg^2 + sum t^2 / st^2) / 2
+//! 1000 mean_r r^2 + u (sum (d - d0)^2 / sd^2 + sum b (d - db)^2 / sb^2 + sum m^2 / sm^2 + sum o^2 / so^2 + e P/G sum g^2 / sg^2 + sum t^2 / st^2) / 2
 //! ```
 //!
 //! with the residuals `r` of the gamma 2.2 codes of `R = 3 x photos x P` values, `u = 2000 sp^2 / R`, which makes the sum a negative log posterior under
@@ -44,7 +44,7 @@ use groups::{Groups, Membership, colour_groups};
 use parameters::{GROUP_STEP, Layout, Parameters, TILT_STEP, inside, logit, logits};
 pub(super) use prior::PHOTO_DEVIATION;
 use prior::{
-    ANISOTROPIC_PHOTO_DEVIATION, DIELECTRIC_DEVIATION, FLAT, METAL_LOGIT, METALLIC_LOGIT, PREDICTED, Prior,
+    ANISOTROPIC_PHOTO_DEVIATION, BARE_LOGIT, DIELECTRIC_DEVIATION, FLAT, METAL_LOGIT, METALLIC_LOGIT, PREDICTED, Prior,
     PriorSigmas, TILT_DEVIATION, specular_surprise,
 };
 pub(super) use relief::{relief, relief_of_raw};
@@ -213,6 +213,7 @@ impl Problem {
         let diffuse = (0..3).flat_map(|c| diffuse.iter().map(move |d| start(d[c]))).collect();
         let base = BASE.iter().flat_map(|&logit| std::iter::repeat_n(logit, pixels)).collect();
         let offsets: Vec<[f32; 4]> = lobes.iter().map(offsets).collect();
+        let bare = bare_shares(&offsets, &memberships);
         Ok(Self {
             targets,
             patch_size: capture.patch_size(),
@@ -222,6 +223,7 @@ impl Problem {
                 photo: if layout.anisotropic { ANISOTROPIC_PHOTO_DEVIATION } else { PHOTO_DEVIATION },
                 diffuse,
                 specular: specular_means(&offsets),
+                bare,
             },
             groups: offsets,
             anisotropy: lobes.iter().map(|lobe| lobe.anisotropy.map(|value| value as f32)).collect(),
@@ -250,6 +252,7 @@ impl Problem {
                 photo: PHOTO_DEVIATION,
                 diffuse: logits(diffuse_planes(maps)).collect(),
                 specular: vec![0.0; 3 * groups],
+                bare: Vec::new(),
             },
             groups: vec![[0.0; 4]; groups],
             anisotropy: Vec::new(),
@@ -271,6 +274,7 @@ impl Problem {
         }
         self.prior.diffuse = logits(diffuse_planes(maps)).collect();
         self.prior.specular = specular_means(&self.groups);
+        self.prior.bare = bare_shares(&self.groups, &memberships);
         self.parameters.memberships = memberships;
         self.parameters.layout.groups = groups;
     }
@@ -385,14 +389,28 @@ fn group_means<const N: usize>(
     sums.iter().map(|(sum, total)| sum.map(|sum| sum / total.max(f64::MIN_POSITIVE))).collect()
 }
 
+/// Whether a group reflects more than a specular albedo, in logits.
+fn reflects(&[r, g, b, _]: &[f32; 4], logit: f32) -> bool {
+    (r + g + b) / 3.0 + SPECULAR_LOGIT > logit
+}
+
 /// What the specular albedo of each group returns to without evidence, as parameters: that of dielectrics, or of metals.
 fn specular_means(groups: &[[f32; 4]]) -> Vec<f32> {
     let metal = METAL_LOGIT - SPECULAR_LOGIT;
-    let mean = |&[r, g, b, _]: &[f32; 4]| {
-        let metallic = (r + g + b) / 3.0 + SPECULAR_LOGIT > METALLIC_LOGIT;
-        if metallic { metal / GROUP_STEP } else { 0.0 }
-    };
+    let mean = |group: &[f32; 4]| if reflects(group, METALLIC_LOGIT) { metal / GROUP_STEP } else { 0.0 };
     groups.iter().map(mean).cycle().take(3 * groups.len()).collect()
+}
+
+/// How much of every pixel belongs to groups that are bare metal; nothing where none is.
+fn bare_shares(groups: &[[f32; 4]], memberships: &[Membership]) -> Vec<f32> {
+    let bare: Vec<bool> = groups.iter().map(|group| reflects(group, BARE_LOGIT)).collect();
+    if !bare.contains(&true) {
+        return Vec::new();
+    }
+    let share = |membership: &Membership| {
+        membership.iter().filter(|(group, _)| bare[*group as usize]).map(|(_, share)| share).sum()
+    };
+    memberships.iter().map(share).collect()
 }
 
 /// The planes of specular albedo, and that of roughness.
@@ -418,7 +436,7 @@ fn diffuse_planes(maps: &Maps<f32>) -> &[f32] {
 mod tests {
     use std::ops::ControlFlow;
 
-    use super::{Problem, correct};
+    use super::{DirectFit, Problem, Relief, correct, fit_direct};
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::fit::options::FitOptions;
@@ -469,8 +487,9 @@ mod tests {
         for reflectance in [Reflectance::Dielectric, Reflectance::Isotropic, Reflectance::Anisotropic] {
             let options = FitOptions::default().reflectance(reflectance);
             let targets = crate::fit::targets(&capture).unwrap();
-            let problem = Problem::new(&capture, targets, Some(vec![0.02; 2 * PIXELS]), &options).unwrap();
+            let mut problem = Problem::new(&capture, targets, Some(vec![0.02; 2 * PIXELS]), &options).unwrap();
             let mut random = fastrand::Rng::with_seed(7);
+            problem.prior.bare = (0..PIXELS).map(|_| random.f32()).collect();
             let mut params = problem.start();
             let layout = problem.parameters.layout;
             // A dielectric has one specular albedo: its gradient is that along equal steps.
@@ -495,6 +514,41 @@ mod tests {
             };
             let difference = (at(2e-3) - at(-2e-3)) / 4e-3;
             assert!((difference / length - 1.0).abs() < 1e-2, "{reflectance:?}: {difference} {length}");
+        }
+    }
+
+    #[test]
+    fn metal_beside_paint_has_no_diffuse_part() {
+        let mut truth = maps(0.4, 0.04);
+        let metal = |p: usize| p % SIZE >= SIZE / 2;
+        for (plane, out) in truth.data_mut().chunks_exact_mut(PIXELS).enumerate() {
+            for p in (0..PIXELS).filter(|&p| metal(p)) {
+                out[p] = match plane {
+                    ..3 => 0.0,
+                    7.. => [0.9, 0.6, 0.3][plane - 7],
+                    _ => out[p],
+                };
+            }
+        }
+        let places = [[0.1, 0.0, 2.2], [0.9, 0.5, 2.2], [-0.8, 0.6, 2.3], [0.1, -1.0, 2.1]];
+        let shots = places.map(|place| Shot { camera: place, light: place, light_intensity: [8.0; 3] });
+        let photo = |shot: Shot| {
+            let image = Image::from_planar(SIZE, SIZE, 3, &render_maps(&truth, 2.0, &shot).unwrap()).unwrap();
+            Photo { name: String::new(), shot, image, saturated: vec![0; PIXELS] }
+        };
+        let capture = Capture::new(shots.map(photo).to_vec(), 2.0, Transfer::Linear).unwrap();
+        let options = FitOptions::default().reflectance(Reflectance::Isotropic);
+        let fit = |control: &mut Control<'_>| fit_direct(&capture, Relief::Flat, &options, &mut Vec::new(), control);
+        let (DirectFit { maps, .. }, _) = Control::silently(CancelToken::new(), fit).unwrap();
+        let mean = |plane: usize, of: &dyn Fn(usize) -> bool| {
+            let values = (0..PIXELS).filter(|&p| of(p)).map(|p| maps.plane(plane)[p]);
+            values.sum::<f32>() / (PIXELS / 2) as f32
+        };
+        for c in 0..3 {
+            let [diffuse, specular] = [mean(c, &metal), mean(7 + c, &metal)];
+            assert!(diffuse < 0.02 && (specular - [0.9, 0.6, 0.3][c]).abs() < 0.1, "{c}: {diffuse} {specular}");
+            let paint = mean(c, &|p| !metal(p));
+            assert!((paint - [0.4, 0.1, 0.1][c]).abs() < 0.02, "{c}: {paint}");
         }
     }
 

@@ -1,5 +1,7 @@
 //! The priors of [`direct`](super).
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::SPECULAR_LOGIT;
@@ -40,6 +42,10 @@ pub(super) const DIELECTRIC_DEVIATION: f64 = 0.1;
 /// What metals reflect, 60 %, and what a group reflects at least that is one, 20 %, in logits.
 pub(super) const METAL_LOGIT: f32 = 0.405;
 pub(super) const METALLIC_LOGIT: f32 = -1.386;
+/// A group that reflects this much, 40 %, in logits, has hardly a diffuse part: 1 %, in logits, and standard deviation from it.
+pub(super) const BARE_LOGIT: f32 = -0.405;
+const BARE_DIFFUSE: f64 = -4.595;
+const BARE_DEVIATION: f64 = 1.0;
 /// What surfaces are made of: its share, and mean and standard deviation of its specular albedo in logits. Dielectrics, metals, anything.
 const KINDS: [(f64, f32, f64); 3] =
     [(0.75, SPECULAR_LOGIT, 0.7), (0.24, METAL_LOGIT, 0.8), (0.01, SPECULAR_LOGIT, 3.0)];
@@ -64,6 +70,40 @@ pub(super) struct Prior {
     pub diffuse: Vec<f32>,
     /// Means of the groups' offsets of specular albedo, as parameters, three times as many as groups.
     pub specular: Vec<f32>,
+    /// How much of every pixel is bare metal; empty where none is.
+    pub bare: Vec<f32>,
+}
+
+/// Values that are pulled somewhere.
+struct Term<'a> {
+    range: Range<usize>,
+    /// To where: 0 where there is none.
+    mean: Mean<'a>,
+    /// By which factor steps of these parameters are longer.
+    step: f32,
+    weight: f64,
+}
+
+/// Where values are pulled to.
+#[derive(Clone, Copy)]
+enum Mean<'a> {
+    /// To 0.
+    None,
+    /// Each to its own.
+    Each(&'a [f32]),
+    /// To the same, each as much as it has a share in it.
+    Shared(f64, &'a [f32]),
+}
+
+impl<'a> Mean<'a> {
+    /// That of the values from `begin` on, as many as there are before `end`.
+    fn part(self, begin: usize, end: usize) -> Self {
+        match self {
+            Self::None => Self::None,
+            Self::Each(means) => Self::Each(&means[begin..end]),
+            Self::Shared(mean, shares) => Self::Shared(mean, &shares[begin..end]),
+        }
+    }
 }
 
 impl Prior {
@@ -76,27 +116,37 @@ impl Prior {
         let PriorSigmas { diffuse, group, specular, evidence } = self.sigmas;
         let group_unit = evidence * unit * n as f64 / layout.groups as f64;
         let node_unit = evidence * unit * n as f64 / (anisotropy::NODES * anisotropy::NODES) as f64;
-        // (range, where it is pulled to, step factor, weight)
-        let terms = [
-            (0..layout.slope(), Some(&self.diffuse), 1.0, unit / diffuse.powi(2)),
-            (layout.slope()..layout.specular_own(), None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
-            (layout.specular_own()..layout.specular_group(), None, 1.0, unit / OWN_DEVIATION.powi(2)),
-            (
-                layout.specular_group()..layout.roughness_group(),
-                Some(&self.specular),
+        let term = |range, mean, step, weight| Term { range, mean, step, weight };
+        let (own, groups) = (layout.specular_own(), layout.specular_group());
+        let mut terms = vec![
+            term(0..layout.slope(), Mean::Each(&self.diffuse), 1.0, unit / diffuse.powi(2)),
+            term(layout.slope()..own, Mean::None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
+            term(own..groups, Mean::None, 1.0, unit / OWN_DEVIATION.powi(2)),
+            term(
+                groups..layout.roughness_group(),
+                Mean::Each(&self.specular),
                 GROUP_STEP,
                 group_unit / specular.powi(2),
             ),
-            (layout.roughness_group()..layout.tilt(), None, GROUP_STEP, group_unit / group.powi(2)),
-            (layout.tilt()..layout.tilt() + 2, None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
-            (
+            term(layout.roughness_group()..layout.tilt(), Mean::None, GROUP_STEP, group_unit / group.powi(2)),
+            term(layout.tilt()..layout.tilt() + 2, Mean::None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
+            term(
                 layout.anisotropy_group()..layout.anisotropy_field(),
-                None,
+                Mean::None,
                 1.0,
                 group_unit / anisotropy::GROUP_DEVIATION.powi(2),
             ),
-            (layout.anisotropy_field()..layout.len(), None, 1.0, node_unit / anisotropy::FIELD_DEVIATION.powi(2)),
+            term(
+                layout.anisotropy_field()..layout.len(),
+                Mean::None,
+                1.0,
+                node_unit / anisotropy::FIELD_DEVIATION.powi(2),
+            ),
         ];
+        if !self.bare.is_empty() {
+            let mean = Mean::Shared(BARE_DIFFUSE, &self.bare);
+            terms.extend((0..3).map(|c| term(c * n..(c + 1) * n, mean, 1.0, unit / BARE_DEVIATION.powi(2))));
+        }
         let mut total = 0.0;
         if layout.anisotropic {
             let weight = node_unit / anisotropy::NEIGHBOUR_DEVIATION.powi(2);
@@ -112,11 +162,11 @@ impl Prior {
                 }
             }
         }
-        for (range, mean, step, weight) in terms {
+        for Term { range, mean, step, weight } in terms {
             let weight = weight * f64::from(step * step);
             let values = params[range.clone()].par_chunks(PART).enumerate();
-            let pull = |part: usize, values, slopes| {
-                let mean = mean.map(|mean| &mean[part * PART..]);
+            let pull = |part: usize, values: &[f32], slopes| {
+                let mean = mean.part(part * PART, part * PART + values.len());
                 f32::run(Pull { values, mean, weight, slopes })
             };
             let squares: Vec<f64> = match gradient.as_deref_mut() {
@@ -132,10 +182,10 @@ impl Prior {
     }
 }
 
-/// The sum of the squares of `values` off their mean, which is 0 where there is none; adds `weight` times how far they are off to `slopes`.
+/// The sum of the squares of `values` off their mean; adds `weight` times how far they are off to `slopes`.
 struct Pull<'a> {
     values: &'a [f32],
-    mean: Option<&'a [f32]>,
+    mean: Mean<'a>,
     weight: f64,
     slopes: Option<&'a mut [f32]>,
 }
@@ -149,14 +199,16 @@ impl Kernel<f32> for Pull<'_> {
         let mut squares = L::splat(0.0).widen();
         for begin in (0..self.values.len()).step_by(L::LANES) {
             let end = self.values.len().min(begin + L::LANES);
-            let mut off = L::load(&self.values[begin..end]);
-            if let Some(mean) = self.mean {
-                off = off - L::load(&mean[begin..end]);
-            }
-            squares = off.widen().mul_add(off.widen(), squares);
+            let value = L::load(&self.values[begin..end]);
+            let (off, share) = match self.mean {
+                Mean::None => (value, L::splat(1.0)),
+                Mean::Each(means) => (value - L::load(&means[begin..end]), L::splat(1.0)),
+                Mean::Shared(mean, shares) => (value - L::splat(mean), L::load(&shares[begin..end])),
+            };
+            squares = (share * off).widen().mul_add(off.widen(), squares);
             if let Some(slopes) = &mut self.slopes {
                 let slopes = &mut slopes[begin..end];
-                weight.mul_add(off, L::load(slopes)).store(slopes);
+                (weight * share).mul_add(off, L::load(slopes)).store(slopes);
             }
         }
         squares.sum()
