@@ -30,6 +30,10 @@ const ANISOTROPIC_GAIN: f64 = 0.15;
 const NEAR: f64 = 1.1;
 /// Share of the squared error that the richer of two near ones has to take away with all steps: on textures of dielectrics it took or added 2 %.
 const NEAR_GAIN: f64 = 0.03;
+/// Two roughnesses that take away less than the first share with few steps have to take away the second with all: few steps leave bumps unfitted, which a
+/// stretched lobe explains, too.
+const ANISOTROPIC_SURE: f64 = 0.5;
+const ANISOTROPIC_NEAR_GAIN: f64 = 0.25;
 /// Share of the squared error that the stated light has to take away from the refined one, which costs next to nothing where the stated one is right.
 const LIGHT_GAIN: f64 = 0.02;
 /// Share of the squared error that refined positions have to take away.
@@ -146,22 +150,32 @@ fn simplest(comparisons: &[Comparison]) -> Reflectance {
     found.map_or(Reflectance::Isotropic, |(_, comparison)| comparison.reflectance)
 }
 
-/// `chosen`, or the next richer one of a round lobe where it is near and clearly better with all steps (`full`). The errors of both, if tried, become those.
+/// `chosen`, unless it is near another one that is better with all steps (`full`): the next richer one where lobes are round, a round one where they are not.
+/// The errors of both, if tried, become those.
 fn verified(
     chosen: Reflectance,
     comparisons: &mut [Comparison],
     full: &mut dyn FnMut(Reflectance) -> Result<f64>,
 ) -> Result<Reflectance> {
-    let Some(first) = comparisons.iter().position(|one| one.reflectance == chosen) else { return Ok(chosen) };
+    let Some(found) = comparisons.iter().position(|one| one.reflectance == chosen) else { return Ok(chosen) };
+    let stretched = chosen == Reflectance::Anisotropic;
+    let first = if stretched { found.saturating_sub(1) } else { found };
     let [simple, richer, ..] = &mut comparisons[first..] else { return Ok(chosen) };
-    if richer.reflectance == Reflectance::Anisotropic || richer.error.powi(2) > NEAR * simple.error.powi(2) {
+    let squares = |one: &Comparison| one.error.powi(2);
+    let (sure, gain) = if stretched {
+        (squares(richer) < (1.0 - ANISOTROPIC_SURE) * squares(simple), ANISOTROPIC_NEAR_GAIN)
+    } else {
+        // Two roughnesses have to be better with few steps already.
+        (richer.reflectance == Reflectance::Anisotropic || squares(richer) > NEAR * squares(simple), NEAR_GAIN)
+    };
+    if sure {
         return Ok(chosen);
     }
     for one in [&mut *simple, &mut *richer] {
         one.error = full(one.reflectance)?;
     }
-    let better = richer.error.powi(2) < (1.0 - NEAR_GAIN) * simple.error.powi(2);
-    Ok(if better { richer.reflectance } else { chosen })
+    let better = squares(richer) < (1.0 - gain) * squares(simple);
+    Ok(if better { richer.reflectance } else { simple.reflectance })
 }
 
 #[cfg(test)]
@@ -252,14 +266,12 @@ mod tests {
 
     #[test]
     fn near_ones_are_tried_with_all_steps() {
-        let comparisons = CANDIDATES
-            .into_iter()
-            .zip([0.2, 0.05, 0.052, 0.05])
-            .map(|(reflectance, error)| Comparison { reflectance, error });
-        let comparisons: Vec<_> = comparisons.collect();
-        let chosen = |first, errors: [f64; 2]| {
+        let few = |errors: [f64; 4]| -> Vec<_> {
+            let comparison = |(reflectance, error)| Comparison { reflectance, error };
+            CANDIDATES.into_iter().zip(errors).map(comparison).collect()
+        };
+        let of = |mut comparisons: Vec<Comparison>, first, errors: [f64; 2]| {
             let mut tried = Vec::new();
-            let mut comparisons = comparisons.clone();
             let mut full = |reflectance| {
                 tried.push(reflectance);
                 Ok(errors[tried.len() - 1])
@@ -267,12 +279,17 @@ mod tests {
             let chosen = verified(first, &mut comparisons, &mut full).unwrap();
             (chosen, tried)
         };
+        let chosen = |first, errors| of(few([0.2, 0.05, 0.052, 0.05]), first, errors);
         let pair = vec![Reflectance::Dielectric, Reflectance::Isotropic];
         assert_eq!(chosen(Reflectance::Dielectric, [0.04, 0.039]), (Reflectance::Isotropic, pair.clone()));
         assert_eq!(chosen(Reflectance::Dielectric, [0.04, 0.0399]), (Reflectance::Dielectric, pair));
         // Two roughnesses have to be better with few steps already.
         assert_eq!(chosen(Reflectance::Isotropic, [0.0; 2]), (Reflectance::Isotropic, vec![]));
-        assert_eq!(chosen(Reflectance::Anisotropic, [0.0; 2]), (Reflectance::Anisotropic, vec![]));
+        let lobes = vec![Reflectance::Isotropic, Reflectance::Anisotropic];
+        assert_eq!(chosen(Reflectance::Anisotropic, [0.04, 0.036]), (Reflectance::Isotropic, lobes.clone()));
+        assert_eq!(chosen(Reflectance::Anisotropic, [0.04, 0.034]), (Reflectance::Anisotropic, lobes));
+        let much_better = few([0.2, 0.05, 0.052, 0.03]);
+        assert_eq!(of(much_better, Reflectance::Anisotropic, [0.0; 2]), (Reflectance::Anisotropic, vec![]));
         assert_eq!(chosen(Reflectance::Diffuse, [0.04, 0.03]).0, Reflectance::Dielectric);
     }
 
