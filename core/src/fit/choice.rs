@@ -182,15 +182,14 @@ fn verified(
 mod tests {
     use super::{CANDIDATES, Choice, Comparison, simplest, verified};
     use crate::cancel::CancelToken;
-    use crate::capture::{Capture, Photo};
+    use crate::capture::Capture;
     use crate::color::Transfer;
     use crate::fit::anisotropy;
     use crate::fit::direct::{DirectFit, Relief, fit_direct};
     use crate::fit::options::{FitOptions, Refine, Reflectance};
-    use crate::image::Image;
+    use crate::fit::testing::photo;
     use crate::maps::{Lobe, Maps};
     use crate::progress::Control;
-    use crate::render::render_maps;
     use crate::shot::Shot;
 
     const SIDE: usize = 20;
@@ -210,14 +209,19 @@ mod tests {
             };
         }
         let maps = anisotropy::join(maps, &vector.map_or(Vec::new(), |vector| vec![vector; PIXELS])).unwrap();
-        let photo = |i: usize| {
+        let shown = |i: usize| {
             let angle = i as f64 * 2.4;
             let place = [0.35 * i as f64 * angle.cos(), 0.35 * i as f64 * angle.sin(), 2.4];
             let shot = Shot { camera: place, light: place, light_intensity: [10.0; 3] };
-            let image = Image::from_planar(SIDE, SIDE, 3, &render_maps(&maps, 2.0, &shot).unwrap()).unwrap();
-            Photo { name: i.to_string(), shot, image, saturated: vec![0; PIXELS] }
+            photo(&maps, shot)
         };
-        Capture::new((0..9).map(photo).collect(), 2.0, Transfer::Linear).unwrap()
+        Capture::new((0..9).map(shown).collect(), 2.0, Transfer::Linear).unwrap()
+    }
+
+    /// The errors of all candidates.
+    fn comparisons(errors: [f64; 4]) -> Vec<Comparison> {
+        let comparison = |(reflectance, error)| Comparison { reflectance, error };
+        CANDIDATES.into_iter().zip(errors).map(comparison).collect()
     }
 
     fn chosen(capture: &Capture, options: &FitOptions) -> Choice {
@@ -266,10 +270,6 @@ mod tests {
 
     #[test]
     fn near_ones_are_tried_with_all_steps() {
-        let few = |errors: [f64; 4]| -> Vec<_> {
-            let comparison = |(reflectance, error)| Comparison { reflectance, error };
-            CANDIDATES.into_iter().zip(errors).map(comparison).collect()
-        };
         let of = |mut comparisons: Vec<Comparison>, first, errors: [f64; 2]| {
             let mut tried = Vec::new();
             let mut full = |reflectance| {
@@ -279,7 +279,7 @@ mod tests {
             let chosen = verified(first, &mut comparisons, &mut full).unwrap();
             (chosen, tried)
         };
-        let chosen = |first, errors| of(few([0.2, 0.05, 0.052, 0.05]), first, errors);
+        let chosen = |first, errors| of(comparisons([0.2, 0.05, 0.052, 0.05]), first, errors);
         let pair = vec![Reflectance::Dielectric, Reflectance::Isotropic];
         assert_eq!(chosen(Reflectance::Dielectric, [0.04, 0.039]), (Reflectance::Isotropic, pair.clone()));
         assert_eq!(chosen(Reflectance::Dielectric, [0.04, 0.0399]), (Reflectance::Dielectric, pair));
@@ -288,17 +288,14 @@ mod tests {
         let lobes = vec![Reflectance::Isotropic, Reflectance::Anisotropic];
         assert_eq!(chosen(Reflectance::Anisotropic, [0.04, 0.036]), (Reflectance::Isotropic, lobes.clone()));
         assert_eq!(chosen(Reflectance::Anisotropic, [0.04, 0.034]), (Reflectance::Anisotropic, lobes));
-        let much_better = few([0.2, 0.05, 0.052, 0.03]);
+        let much_better = comparisons([0.2, 0.05, 0.052, 0.03]);
         assert_eq!(of(much_better, Reflectance::Anisotropic, [0.0; 2]), (Reflectance::Anisotropic, vec![]));
         assert_eq!(chosen(Reflectance::Diffuse, [0.04, 0.03]).0, Reflectance::Dielectric);
     }
 
     #[test]
     fn ties_are_for_the_simpler_one() {
-        let chosen = |errors: [f64; 4]| {
-            let comparison = |(reflectance, error)| Comparison { reflectance, error };
-            simplest(&CANDIDATES.into_iter().zip(errors).map(comparison).collect::<Vec<_>>())
-        };
+        let chosen = |errors| simplest(&comparisons(errors));
         assert_eq!(chosen([0.05; 4]), Reflectance::Diffuse);
         assert_eq!(chosen([0.05, 0.04, 0.04, 0.04]), Reflectance::Dielectric);
         assert_eq!(chosen([0.05, 0.045, 0.04, 0.039]), Reflectance::Isotropic);

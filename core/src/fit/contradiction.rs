@@ -113,18 +113,17 @@ fn missed(photo: &Photo, mut rendering: Vec<f32>) -> Result<f64> {
 
 #[cfg(test)]
 mod tests {
-    use std::ops::ControlFlow;
-
     use super::contradicting;
     use crate::cancel::CancelToken;
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::fit::options::FitOptions;
+    use crate::fit::testing::photo;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
     use crate::progress::{Control, Progress};
-    use crate::render::render_maps;
     use crate::shot::Shot;
+    use std::ops::ControlFlow;
 
     const SIDE: usize = 16;
     const PIXELS: usize = SIDE * SIDE;
@@ -149,15 +148,14 @@ mod tests {
                 _ => 0.05,
             };
         }
-        let photo = |i: usize| {
+        let shown = |i: usize| {
             let angle = i as f64 * 2.4;
             let place = [0.35 * i as f64 * angle.cos(), 0.35 * i as f64 * angle.sin(), 2.4];
             let shot = Shot { camera: place, light: place, light_intensity: [14.0; 3] };
             let lit = Shot { light_intensity: [14.0 * (1.0 + 0.04 * (i as f64 * 1.7).sin()); 3], ..shot };
-            let image = Image::from_planar(SIDE, SIDE, 3, &render_maps(&maps, 2.0, &lit).unwrap()).unwrap();
-            Photo { name: i.to_string(), shot, image, saturated: vec![0; PIXELS] }
+            Photo { shot, ..photo(&maps, lit) }
         };
-        (0..7).map(photo).collect()
+        (0..7).map(shown).collect()
     }
 
     fn found(photos: Vec<Photo>) -> Vec<usize> {
@@ -194,12 +192,8 @@ mod tests {
                 plane => f32::from(u8::from(plane == first + 3)),
             };
         }
-        let photo = |&place: &[f64; 3]| {
-            let shot = Shot { camera: place, light: place, light_intensity: [60.0; 3] };
-            let image = Image::from_planar(SIDE, SIDE, 3, &render_maps(&maps, 2.0, &shot).unwrap()).unwrap();
-            Photo { name: String::new(), shot, image, saturated: vec![0; PIXELS] }
-        };
-        places.iter().map(photo).collect()
+        let shots = places.iter().map(|&place| Shot { camera: place, light: place, light_intensity: [60.0; 3] });
+        shots.map(|shot| photo(&maps, shot)).collect()
     }
 
     #[test]

@@ -17,6 +17,8 @@ mod plan;
 pub mod report;
 mod run;
 mod shading;
+#[cfg(test)]
+mod testing;
 pub mod verdict;
 
 use std::borrow::Cow;

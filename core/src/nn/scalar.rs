@@ -65,7 +65,6 @@ macro_rules! kernel {
         $visible fn $name<$($generics)*>($($argument: $type),*) -> $result {
             struct Loop<$($names)*> {
                 $($argument: $type,)*
-                of: std::marker::PhantomData<$scalar>,
             }
 
             impl<$($generics)*> $crate::real::Kernel<$scalar> for Loop<$($names)*> {
@@ -73,12 +72,12 @@ macro_rules! kernel {
 
                 #[inline(always)]
                 fn run<L: $crate::real::Lanes<Scalar = $scalar>>(self) -> $result {
-                    let Self { $($argument,)* .. } = self;
+                    let Self { $($argument,)* } = self;
                     $body
                 }
             }
 
-            <$scalar as $crate::real::Real>::run(Loop { $($argument,)* of: std::marker::PhantomData })
+            <$scalar as $crate::real::Real>::run(Loop { $($argument,)* })
         }
     };
 }

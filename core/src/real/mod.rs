@@ -279,8 +279,18 @@ impl Wide for f64 {
     }
 }
 
+#[cfg(test)]
+thread_local! {
+    /// Whether kernels compute on single numbers on this thread, as on a processor without lanes.
+    pub(crate) static SINGLE: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+}
+
 impl Real for f32 {
     fn run<K: Kernel<f32>>(kernel: K) -> K::Output {
+        #[cfg(test)]
+        if SINGLE.get() {
+            return kernel.run::<f32>();
+        }
         #[cfg(target_arch = "x86_64")]
         let kernel = match avx512::run(kernel).or_else(avx2::run) {
             Ok(output) => return output,

@@ -117,7 +117,7 @@ mod tests {
     use crate::capture::{Capture, Photo};
     use crate::color::{GAMMA, Transfer};
     use crate::fit::options::Refine;
-    use crate::image::Image;
+    use crate::fit::testing::photo;
     use crate::maps::{Lobe, Maps};
     use crate::render::render_maps;
     use crate::shot::Shot;
@@ -144,8 +144,7 @@ mod tests {
             let place = [0.5 * i as f64 - 0.7, 0.3, 2.2];
             let shot = Shot { camera: place, light: place, light_intensity: [9.0; 3] };
             let lit = Shot { light_intensity: [9.0 * factor; 3], ..shot };
-            let image = Image::from_planar(SIDE, SIDE, 3, &render_maps(maps, 2.0, &lit).unwrap()).unwrap();
-            Photo { name: i.to_string(), shot, image, saturated: vec![0; SIDE * SIDE] }
+            Photo { shot, ..photo(maps, lit) }
         });
         Capture::new(photos.collect(), 2.0, Transfer::Linear).unwrap()
     }

@@ -435,18 +435,16 @@ fn diffuse_planes(maps: &Maps<f32>) -> &[f32] {
 
 #[cfg(test)]
 mod tests {
-    use std::ops::ControlFlow;
-
     use super::{DirectFit, Problem, Relief, correct, fit_direct};
-    use crate::capture::{Capture, Photo};
+    use crate::capture::Capture;
     use crate::color::Transfer;
     use crate::fit::options::FitOptions;
     use crate::fit::options::Reflectance;
-    use crate::image::Image;
+    use crate::fit::testing::photo;
     use crate::maps::{Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
     use crate::progress::{CancelToken, Control, Progress};
-    use crate::render::render_maps;
     use crate::shot::Shot;
+    use std::ops::ControlFlow;
 
     const SIZE: usize = 24;
     const PIXELS: usize = SIZE * SIZE;
@@ -480,11 +478,8 @@ mod tests {
             light_intensity: [12.0; 3],
         });
         let truth = maps(0.3, 0.2);
-        let photo = |shot: Shot| {
-            let image = Image::from_planar(SIZE, SIZE, 3, &render_maps(&truth, 2.0, &shot).unwrap()).unwrap();
-            Photo { name: String::new(), shot, image, saturated: vec![0; PIXELS] }
-        };
-        let capture = Capture::new(shots.map(photo).to_vec(), 2.0, Transfer::Linear).unwrap();
+        let photos = shots.map(|shot| photo(&truth, shot)).to_vec();
+        let capture = Capture::new(photos, 2.0, Transfer::Linear).unwrap();
         for reflectance in [Reflectance::Dielectric, Reflectance::Isotropic, Reflectance::Anisotropic] {
             let options = FitOptions::default().reflectance(reflectance);
             let targets = crate::fit::targets(&capture).unwrap();
@@ -533,11 +528,8 @@ mod tests {
         }
         let places = [[0.1, 0.0, 2.2], [0.9, 0.5, 2.2], [-0.8, 0.6, 2.3], [0.1, -1.0, 2.1]];
         let shots = places.map(|place| Shot { camera: place, light: place, light_intensity: [8.0; 3] });
-        let photo = |shot: Shot| {
-            let image = Image::from_planar(SIZE, SIZE, 3, &render_maps(&truth, 2.0, &shot).unwrap()).unwrap();
-            Photo { name: String::new(), shot, image, saturated: vec![0; PIXELS] }
-        };
-        let capture = Capture::new(shots.map(photo).to_vec(), 2.0, Transfer::Linear).unwrap();
+        let photos = shots.map(|shot| photo(&truth, shot)).to_vec();
+        let capture = Capture::new(photos, 2.0, Transfer::Linear).unwrap();
         let options = FitOptions::default().reflectance(Reflectance::Isotropic);
         let fit = |control: &mut Control<'_>| fit_direct(&capture, Relief::Flat, &options, &mut Vec::new(), control);
         let (DirectFit { maps, .. }, _) = Control::silently(CancelToken::new(), fit).unwrap();
@@ -557,9 +549,7 @@ mod tests {
     fn one_photo_corrects_what_pixels_share() {
         let shot = Shot { camera: [0.0, 0.0, 2.2], light: [0.0, 0.0, 2.2], light_intensity: [12.0; 3] };
         let truth = maps(0.3, 0.06);
-        let image = Image::from_planar(SIZE, SIZE, 3, &render_maps(&truth, 2.0, &shot).unwrap()).unwrap();
-        let photo = Photo { name: "0".into(), shot, image, saturated: vec![0; PIXELS] };
-        let capture = Capture::new(vec![photo], 2.0, Transfer::Linear).unwrap();
+        let capture = Capture::new(vec![photo(&truth, shot)], 2.0, Transfer::Linear).unwrap();
         let predicted = maps(0.6, 0.03);
         let mut callback = |_: &Progress| ControlFlow::Continue(());
         let mut control = Control::new(&mut callback, CancelToken::new());

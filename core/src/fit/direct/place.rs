@@ -99,9 +99,8 @@ mod tests {
     use crate::capture::{Capture, Photo};
     use crate::color::Transfer;
     use crate::fit::direct::light::stated;
-    use crate::image::Image;
+    use crate::fit::testing::photo;
     use crate::maps::{Lobe, Maps};
-    use crate::render::render_maps;
     use crate::shot::Shot;
 
     const SIDE: usize = 24;
@@ -126,9 +125,7 @@ mod tests {
         let photos = offsets.iter().enumerate().map(|(i, &offset)| {
             let place = [0.5 * i as f64 - 0.7, 0.3, 2.2];
             let shot = Shot { camera: place, light: place, light_intensity: [9.0; 3] };
-            let planes = render_maps(maps, 2.0, &moved(&shot, offset)).unwrap();
-            let image = Image::from_planar(SIDE, SIDE, 3, &planes).unwrap();
-            Photo { name: i.to_string(), shot, image, saturated: vec![0; PIXELS] }
+            Photo { shot, ..photo(maps, moved(&shot, offset)) }
         });
         Capture::new(photos.collect(), 2.0, Transfer::Linear).unwrap()
     }

@@ -1,7 +1,5 @@
 //! The priors of [`direct`](super).
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 
 use super::SPECULAR_LOGIT;
@@ -74,16 +72,6 @@ pub(super) struct Prior {
     pub bare: Vec<f32>,
 }
 
-/// Values that are pulled somewhere.
-struct Term<'a> {
-    range: Range<usize>,
-    /// To where: 0 where there is none.
-    mean: Mean<'a>,
-    /// By which factor steps of these parameters are longer.
-    step: f32,
-    weight: f64,
-}
-
 /// Where values are pulled to.
 #[derive(Clone, Copy)]
 enum Mean<'a> {
@@ -116,36 +104,26 @@ impl Prior {
         let PriorSigmas { diffuse, group, specular, evidence } = self.sigmas;
         let group_unit = evidence * unit * n as f64 / layout.groups as f64;
         let node_unit = evidence * unit * n as f64 / (anisotropy::NODES * anisotropy::NODES) as f64;
-        let term = |range, mean, step, weight| Term { range, mean, step, weight };
         let (own, groups) = (layout.specular_own(), layout.specular_group());
+        // (range, where it is pulled to, by which factor steps are longer, weight)
         let mut terms = vec![
-            term(0..layout.slope(), Mean::Each(&self.diffuse), 1.0, unit / diffuse.powi(2)),
-            term(layout.slope()..own, Mean::None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
-            term(own..groups, Mean::None, 1.0, unit / OWN_DEVIATION.powi(2)),
-            term(
-                groups..layout.roughness_group(),
-                Mean::Each(&self.specular),
-                GROUP_STEP,
-                group_unit / specular.powi(2),
-            ),
-            term(layout.roughness_group()..layout.tilt(), Mean::None, GROUP_STEP, group_unit / group.powi(2)),
-            term(layout.tilt()..layout.tilt() + 2, Mean::None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
-            term(
+            (0..layout.slope(), Mean::Each(&self.diffuse), 1.0, unit / diffuse.powi(2)),
+            (layout.slope()..own, Mean::None, 1.0, unit / SLOPE_DEVIATION.powi(2)),
+            (own..groups, Mean::None, 1.0, unit / OWN_DEVIATION.powi(2)),
+            (groups..layout.roughness_group(), Mean::Each(&self.specular), GROUP_STEP, group_unit / specular.powi(2)),
+            (layout.roughness_group()..layout.tilt(), Mean::None, GROUP_STEP, group_unit / group.powi(2)),
+            (layout.tilt()..layout.tilt() + 2, Mean::None, TILT_STEP, unit / TILT_DEVIATION.powi(2)),
+            (
                 layout.anisotropy_group()..layout.anisotropy_field(),
                 Mean::None,
                 1.0,
                 group_unit / anisotropy::GROUP_DEVIATION.powi(2),
             ),
-            term(
-                layout.anisotropy_field()..layout.len(),
-                Mean::None,
-                1.0,
-                node_unit / anisotropy::FIELD_DEVIATION.powi(2),
-            ),
+            (layout.anisotropy_field()..layout.len(), Mean::None, 1.0, node_unit / anisotropy::FIELD_DEVIATION.powi(2)),
         ];
         if !self.bare.is_empty() {
             let mean = Mean::Shared(BARE_DIFFUSE, &self.bare);
-            terms.extend((0..3).map(|c| term(c * n..(c + 1) * n, mean, 1.0, unit / BARE_DEVIATION.powi(2))));
+            terms.extend((0..3).map(|c| (c * n..(c + 1) * n, mean, 1.0, unit / BARE_DEVIATION.powi(2))));
         }
         let mut total = 0.0;
         if layout.anisotropic {
@@ -162,7 +140,7 @@ impl Prior {
                 }
             }
         }
-        for Term { range, mean, step, weight } in terms {
+        for (range, mean, step, weight) in terms {
             let weight = weight * f64::from(step * step);
             let values = params[range.clone()].par_chunks(PART).enumerate();
             let pull = |part: usize, values: &[f32], slopes| {

@@ -437,13 +437,12 @@ pub(super) fn flat_albedo(photo: &Photo, position: [f64; 2], pixel: usize) -> [f
 #[cfg(test)]
 mod tests {
     use super::{Explain, Prior, Shape, diffuse, search};
-    use crate::capture::{Capture, Photo};
+    use crate::capture::Capture;
     use crate::color::Transfer;
     use crate::fit::options::Reflectance;
-    use crate::image::Image;
+    use crate::fit::testing::photo;
     use crate::maps::{Lobe, Maps};
     use crate::real::Real;
-    use crate::render::render_maps;
     use crate::shot::Shot;
 
     const SIDE: usize = 12;
@@ -465,14 +464,13 @@ mod tests {
             data[6 * PIXELS + p] = roughness;
         }
         let maps = Maps::new(Lobe::Isotropic, SIDE, SIDE, data).unwrap();
-        let photo = |i: usize| {
+        let shown = |i: usize| {
             let angle = i as f64 * 2.4;
             let place = [0.3 * i as f64 * angle.cos(), 0.3 * i as f64 * angle.sin(), 2.4];
             let shot = Shot { camera: place, light: place, light_intensity: [14.0; 3] };
-            let image = Image::from_planar(SIDE, SIDE, 3, &render_maps(&maps, 2.0, &shot).unwrap()).unwrap();
-            Photo { name: i.to_string(), shot, image, saturated: vec![0; PIXELS] }
+            photo(&maps, shot)
         };
-        Capture::new((0..7).map(photo).collect(), 2.0, Transfer::Linear).unwrap()
+        Capture::new((0..7).map(shown).collect(), 2.0, Transfer::Linear).unwrap()
     }
 
     #[test]

@@ -191,19 +191,18 @@ impl<'a> Problem<'a> {
 
 #[cfg(test)]
 mod tests {
-    use std::ops::ControlFlow;
-
     use super::{Finished, Fold, Judgement, Problem, RAW, Rehearsal, Start, Weighting};
-    use crate::capture::{Capture, Photo};
+    use crate::capture::Capture;
     use crate::color::Transfer;
     use crate::error::Error;
     use crate::fit::options::Reflectance;
+    use crate::fit::testing::photo;
     use crate::image::Image;
     use crate::maps::{Lobe, Maps};
     use crate::nn::Decoding;
     use crate::progress::{CancelToken, Control, Progress};
-    use crate::render::render_maps;
     use crate::shot::Shot;
+    use std::ops::ControlFlow;
 
     const WIDTH: usize = 24;
     const HEIGHT: usize = 20;
@@ -240,10 +239,7 @@ mod tests {
     fn capture(raw: &[f32], count: usize) -> Capture {
         let mut maps = Maps::new(Lobe::Isotropic, WIDTH, HEIGHT, vec![0.0; 10 * PIXELS]).unwrap();
         Decoding::new(Lobe::Isotropic).decode(raw, &mut maps).unwrap();
-        let photos = shots(count).into_iter().enumerate().map(|(i, shot)| {
-            let image = Image::from_planar(WIDTH, HEIGHT, 3, &render_maps(&maps, 2.0, &shot).unwrap()).unwrap();
-            Photo { name: i.to_string(), shot, image, saturated: vec![0; PIXELS] }
-        });
+        let photos = shots(count).into_iter().map(|shot| photo(&maps, shot));
         Capture::new(photos.collect(), 2.0, Transfer::Linear).unwrap()
     }
 

@@ -8,7 +8,7 @@
 
 use crate::nn::kernels::NORM_EPSILON;
 use crate::nn::scalar::kernel;
-use crate::real::{Kernel, LANES_MAX, Lanes, Real};
+use crate::real::{LANES_MAX, Lanes};
 
 /// Output rows a register block of [`dense`] and [`outer`] has at most.
 const BLOCK: usize = 3;
@@ -41,24 +41,15 @@ fn bundle<L: Lanes<Scalar = f32>>(values: &[f32], at: usize) -> L {
     L::load(&values[at..][..L::LANES])
 }
 
-/// Asks for rows that are needed soon: short pieces of rows far apart are what the hardware does not foresee.
-pub(super) fn prefetch(rows: Rows<'_>, len: usize) {
-    struct Prefetch<'a>(Rows<'a>, usize);
-
-    impl Kernel<f32> for Prefetch<'_> {
-        type Output = ();
-
-        #[inline(always)]
-        fn run<L: Lanes<Scalar = f32>>(self) {
-            for &offset in self.0.offsets {
-                for line in self.0.values.get(offset..offset + self.1).unwrap_or_default().chunks(LANES_MAX) {
-                    L::prefetch(line);
-                }
+kernel! {
+    /// Asks for rows that are needed soon: short pieces of rows far apart are what the hardware does not foresee.
+    pub(super) fn prefetch<'a>(rows: Rows<'a>, len: usize) {
+        for &offset in rows.offsets {
+            for line in rows.values.get(offset..offset + len).unwrap_or_default().chunks(LANES_MAX) {
+                L::prefetch(line);
             }
         }
     }
-
-    f32::run(Prefetch(rows, len));
 }
 
 /// A dense layer over channels with its weights in the order in which [`dense`] reads them.
@@ -134,7 +125,7 @@ fn dense_block<L: Lanes<Scalar = f32>, const O: usize, const V: usize>(
         if let Some((values, apart)) = residual {
             let values = &values[o * apart..][..V * L::LANES];
             for v in 0..V {
-                sums[o][v] = sums[o][v] + L::load(&values[v * L::LANES..]);
+                sums[o][v] = sums[o][v] + bundle(values, v * L::LANES);
             }
         }
     }
@@ -145,7 +136,7 @@ fn dense_block<L: Lanes<Scalar = f32>, const O: usize, const V: usize>(
             factors[o] = L::splat(f64::from(weights[o]));
         }
         for v in 0..V {
-            let value = L::load(&values[v * L::LANES..]);
+            let value: L = bundle(values, v * L::LANES);
             for o in 0..O {
                 sums[o][v] = value.mul_add(factors[o], sums[o][v]);
             }
@@ -289,6 +280,19 @@ impl<'a> Window<'a> {
     }
 }
 
+/// The values of [`Window::padded`] rows around the pixels at `at`: of each row those to the left, in the middle and to the right.
+#[inline(always)]
+fn neighbours<L: Lanes<Scalar = f32>, const N: usize>(rows: [&[f32]; N], at: usize) -> [[L; 3]; N] {
+    let mut values = [[L::splat(0.0); 3]; N];
+    for n in 0..N {
+        let row = &rows[n][at..][..L::LANES + 2];
+        for x in 0..3 {
+            values[n][x] = bundle(row, x);
+        }
+    }
+    values
+}
+
 kernel! {
     /// Depthwise 3x3 convolution: `target[j][c] = weights[c][9] + sum over taps of weights[c][tap] * source` for one or two picture rows
     /// `j`, from the three or four rows of `source`. `targets[j]` is where row `j` begins in `target`, channels are `stride` apart.
@@ -321,18 +325,11 @@ fn depthwise_rows<L: Lanes<Scalar = f32>, const R: usize, const N: usize>(
         let rows = source.padded::<N>(channel, len);
         for at in (0..len).step_by(L::LANES) {
             let mut sums = [taps[9]; R];
-            for n in 0..N {
-                let values = &rows[n][at..][..L::LANES + 2];
-                for x in 0..3 {
-                    let value = L::load(&values[x..]);
-                    for row in 0..R {
-                        if row <= n && n < row + 3 {
-                            sums[row] = value.mul_add(taps[(n - row) * 3 + x], sums[row]);
-                        }
-                    }
-                }
-            }
+            let values = neighbours::<L, N>(rows, at);
             for row in 0..R {
+                for tap in 0..9 {
+                    sums[row] = values[row + tap / 3][tap % 3].mul_add(taps[tap], sums[row]);
+                }
                 sums[row].store(&mut target[targets[row] + channel * stride + at..][..L::LANES]);
             }
         }
@@ -371,16 +368,10 @@ fn depthwise_weights_rows<L: Lanes<Scalar = f32>, const R: usize, const N: usize
                 slope[row] = bundle(slopes[row], at + 1);
                 totals[9] = totals[9] + slope[row];
             }
-            for n in 0..N {
-                let values = &rows[n][at..][..L::LANES + 2];
-                for x in 0..3 {
-                    let value = L::load(&values[x..]);
-                    for row in 0..R {
-                        if row <= n && n < row + 3 {
-                            let tap = (n - row) * 3 + x;
-                            totals[tap] = value.mul_add(slope[row], totals[tap]);
-                        }
-                    }
+            let values = neighbours::<L, N>(rows, at);
+            for row in 0..R {
+                for tap in 0..9 {
+                    totals[tap] = values[row + tap / 3][tap % 3].mul_add(slope[row], totals[tap]);
                 }
             }
         }

@@ -828,3 +828,36 @@ fn check_len(name: &str, expected: usize, got: usize) -> Result<()> {
         Err(Error::shape(name, format!("{expected} values"), format!("{got} values")))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Adapters;
+    use crate::nn::AdapterParams;
+    use crate::real::SINGLE;
+
+    #[test]
+    fn single_numbers_give_what_lanes_give() {
+        let (width, height, outputs) = (150, 37, [2, 3]);
+        let noise = |len: usize| -> Vec<f32> {
+            (0..len).map(|i| ((i as f64 * 0.618_033_988_75 + 0.3).fract() - 0.5) as f32).collect()
+        };
+        let single = rayon::ThreadPoolBuilder::new().num_threads(2).start_handler(|_| SINGLE.set(true));
+        let single = single.build().unwrap();
+        for channels in [9, 14] {
+            let feature = noise(channels * width * height);
+            let params = noise(outputs.iter().map(|&k| AdapterParams::len_for(channels, k)).sum());
+            let run = || {
+                let mut adapters = Adapters::new(&feature, channels, &outputs, width, height).unwrap();
+                let mut raw = vec![0.0; adapters.raw_len()];
+                let (mut d_params, mut d_feature) = (vec![0.0; params.len()], vec![0.0; feature.len()]);
+                adapters.forward(&params, &mut raw).unwrap();
+                adapters.backward(&raw, Some(&mut d_params), Some(&mut d_feature)).unwrap();
+                [raw, d_params, d_feature]
+            };
+            for (plain, vectors) in single.install(run).iter().zip(&run()) {
+                let scale = plain.iter().fold(0.0f32, |scale, x| scale.max(x.abs()));
+                assert!(plain.iter().zip(vectors).all(|(a, b)| (a - b).abs() <= 1e-5 * scale), "{scale}");
+            }
+        }
+    }
+}
