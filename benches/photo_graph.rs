@@ -4,7 +4,7 @@
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use svbrdf_gcn::nn::{PhotoGraph, PhotoGraphConfig};
+use svbrdf_gcn::nn::{Mirror, PhotoGraph, PhotoGraphConfig};
 use svbrdf_gcn::progress::{CancelToken, Control, Progress};
 use svbrdf_gcn::{Capture, Image, Photo, Shot, Transfer};
 
@@ -46,7 +46,7 @@ fn main() {
     let computed = processor_seconds();
     for _ in 0..runs {
         let begun = Instant::now();
-        graph.predict(&capture, &mut control).expect("a prediction");
+        graph.predict(&capture, Mirror::default(), &mut control).expect("a prediction");
         fastest = fastest.min(begun.elapsed().as_secs_f64());
     }
     let computed = processor_seconds().zip(computed).map(|(after, before)| (after - before) / f64::from(runs));

@@ -95,7 +95,7 @@ fn fit_stated(
         ));
     }
     let pool = pool(options.threads)?;
-    let memory_estimate = pool.install(|| plan::memory(capture, held, model, route, options.max_memory))?;
+    let memory_estimate = pool.install(|| plan::memory(capture, held, model, route, options))?;
     run::on_pool(&pool, options.cancel.clone(), progress, |control| {
         control.report(route.first(), 0, options.steps(route.first()), None)?;
         let usual = conditions::usual_exposure(capture)?;

@@ -78,24 +78,24 @@ pub(crate) fn select<'a>(
 /// Estimated bytes at the peak of a run on the threads of the current pool, from the reading of photos on, `held` beside it.
 ///
 /// # Errors
-/// [`Error::OutOfMemory`](crate::Error::OutOfMemory) if that is more than `max_memory` grants.
+/// [`Error::OutOfMemory`](crate::Error::OutOfMemory) if that is more than `options.max_memory` grants.
 pub(crate) fn memory(
     capture: &Capture,
     held: u64,
     model: Option<&Model>,
     route: Route<'_>,
-    max_memory: Option<u64>,
+    options: &FitOptions,
 ) -> Result<u64> {
-    let Estimate { in_use, peak } = estimate(capture, model, route);
+    let Estimate { in_use, peak } = estimate(capture, model, route, options);
     let (in_use, peak) = (in_use.saturating_add(held), peak.saturating_add(held));
     let (width, height, photos) = (capture.width(), capture.height(), capture.len());
     let what = format!("a fit to {photos} photos of {width} x {height} pixels");
-    memory::check(&what, peak, memory::allowed(max_memory, in_use))?;
+    memory::check(&what, peak, memory::allowed(options.max_memory, in_use))?;
     Ok(peak.max(capture.reading_memory()))
 }
 
 /// Estimated bytes at the peak of a fit, of which the capture and the weights are there before it.
-fn estimate(capture: &Capture, model: Option<&Model>, route: Route<'_>) -> Estimate {
+fn estimate(capture: &Capture, model: Option<&Model>, route: Route<'_>, options: &FitOptions) -> Estimate {
     let in_use = capture.memory().saturating_add(model.map_or(0, Model::memory));
     let pixels = (capture.width() * capture.height()) as u64;
     let (photos, maps) = (capture.len(), pixels * 10 * 4);
@@ -111,7 +111,10 @@ fn estimate(capture: &Capture, model: Option<&Model>, route: Route<'_>) -> Estim
             // What the network predicts: nine planes and their deviations.
             let kept = 2 * 9 * 4 * pixels + maps;
             let after = direct::memory(photos, size, true).max(finish::memory(photos, pixels));
-            graph.memory(photos, capture.height(), capture.width()).max(kept.saturating_add(after))
+            // The mean, while the next mirror image is predicted.
+            let mean = if options.preset.mirror_images(photos) > 1 { 2 * 9 * 4 * pixels } else { 0 };
+            let encoding = graph.memory(photos, capture.height(), capture.width()).saturating_add(mean);
+            encoding.max(kept.saturating_add(after))
         }
     };
     let threads = match route {

@@ -105,7 +105,8 @@ pub(crate) fn run(
 /// Stages encode, direct and finish; the latter two again while that predicts photos left out better.
 fn fit_graph(capture: &Capture, graph: &PhotoGraph, options: &FitOptions, control: &mut Control<'_>) -> Result<State> {
     let mut stages = Vec::new();
-    let Prediction { maps, raw: network, deviation } = encode(capture, graph, &mut stages, control)?;
+    let Prediction { maps, raw: network, deviation } =
+        encode(capture, graph, options.preset.mirror_images(capture.len()), &mut stages, control)?;
     let predicted = relief(&maps);
     // One photo shows the shape of the highlight over the whole image, but not both widths of a lobe.
     let correcting = capture.len() == 1 && options.reflectance != Reflectance::Anisotropic;

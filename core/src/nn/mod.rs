@@ -24,4 +24,4 @@ pub use model::{Code, DecoderTrace, Model, Network};
 pub use params::AdapterParams;
 #[cfg(feature = "train")]
 pub(crate) use photo_graph::{INPUTS, PhotoView};
-pub use photo_graph::{PhotoGraph, PhotoGraphConfig, Prediction};
+pub use photo_graph::{Mirror, PhotoGraph, PhotoGraphConfig, Prediction};

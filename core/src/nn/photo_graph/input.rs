@@ -5,6 +5,7 @@ use std::f64::consts::PI;
 use rayon::prelude::*;
 
 use super::config::{INPUTS, RATIO_MAX};
+use super::mirror::Mirror;
 use crate::capture::Photo;
 use crate::color::GAMMA;
 use crate::error::Result;
@@ -16,14 +17,20 @@ use crate::shot::Shot;
 const WHITE_MIN: f64 = 1e-4;
 const RATIO_MIN: f32 = 1e-6;
 
-/// The [`INPUTS`] planes of a photo of a patch `patch_size` wide, zero beyond the photo. `layout` has as many channels.
+/// The [`INPUTS`] planes of a photo of a patch `patch_size` wide in a mirror, zero beyond the photo. `layout` has as many channels.
 ///
 /// Planes: the photo in gamma 2.2, clamped to [0, 1], 3; the gamma 2.2 encoding of its ratio to what a white diffuse patch facing +z would
 /// show, at most 4, 3; saturation, 1; direction to the light, 3; half vector, 3 (`network_input` in `tests/training/fixture.py`). Half the
 /// width of the patch is the unit of length.
-pub(super) fn planes(photo: &Photo, patch_size: f64, layout: Layout, pool: &Pool<f32>) -> Result<Planes<f32>> {
+pub(super) fn planes(
+    photo: &Photo,
+    patch_size: f64,
+    mirror: Mirror,
+    layout: Layout,
+    pool: &Pool<f32>,
+) -> Result<Planes<f32>> {
     let (width, height) = (photo.image.width(), photo.image.height());
-    let view = PhotoView::new(&photo.shot, patch_size);
+    let view = PhotoView::new(&mirror.shot(&photo.shot), patch_size);
     let mut out = pool.take(layout.len());
     out.par_chunks_mut(layout.band_len()).enumerate().for_each(|(band, out)| {
         out.fill(0.0);
@@ -35,7 +42,7 @@ pub(super) fn planes(photo: &Photo, patch_size: f64, layout: Layout, pool: &Pool
             let start = (row - rows.start) * layout.width;
             for column in 0..width {
                 let x = ((column as f64 + 0.5) / width as f64 - 0.5) * 2.0;
-                let pixel = row * width + column;
+                let pixel = mirror.row(row, height) * width + mirror.column(column, width);
                 let values = &photo.image.data()[3 * pixel..3 * pixel + 3];
                 let linear = [values[0], values[1], values[2]];
                 let planes = view.planes(linear, photo.saturated[pixel] != 0, x, y);

@@ -5,6 +5,7 @@
 mod config;
 mod hints;
 mod input;
+mod mirror;
 mod net;
 mod rounds;
 
@@ -27,6 +28,7 @@ pub use config::PhotoGraphConfig;
 use config::{HINTS, RAW_PLANES};
 #[cfg(feature = "train")]
 pub(crate) use input::PhotoView;
+pub use mirror::Mirror;
 use net::{Net, Output};
 use rounds::DIRECTIONS;
 
@@ -129,22 +131,26 @@ impl PhotoGraph {
         Ok(maps)
     }
 
-    /// Raw maps and their certainty from all photos of `capture`, on the threads of the current rayon pool; `control` is polled between the parts.
+    /// Raw maps and their certainty from all photos of `capture` as `mirror` shows them, mirrored back; on the threads of the current rayon pool. `control` is
+    /// polled between the parts.
     ///
     /// Every photo is read once and its full-resolution features are dropped before the next, see [`PhotoGraph::memory`].
     ///
     /// # Errors
     /// [`Error::Cancelled`]; [`Error::NonFinite`] if the network gives values that are not finite.
-    pub fn predict(&self, capture: &Capture, control: &mut Control<'_>) -> Result<Prediction> {
+    pub fn predict(&self, capture: &Capture, mirror: Mirror, control: &mut Control<'_>) -> Result<Prediction> {
         let (height, width) = (capture.height(), capture.width());
         let layout = padded(&self.config, height, width);
-        let photo =
-            |index: usize, pool: &_| input::planes(&capture.photos()[index], capture.patch_size(), layout, pool);
-        let Output { raw, log_sigma } =
+        let photo = |index: usize, pool: &_| {
+            input::planes(&capture.photos()[index], capture.patch_size(), mirror, layout, pool)
+        };
+        let Output { mut raw, mut log_sigma } =
             self.net.run(&self.config, capture.len(), layout, (height, width), photo, control)?;
         if !raw.par_iter().chain(&log_sigma).all(|value| value.is_finite()) {
             return Err(Error::NonFinite { stage: "prediction".into(), iteration: 0 });
         }
+        mirror.undo_raw(&mut raw, height, width);
+        mirror.undo(&mut log_sigma, height, width);
         Ok(Prediction { height, width, raw, log_sigma })
     }
 

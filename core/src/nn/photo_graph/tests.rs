@@ -7,7 +7,7 @@ use safetensors::SafeTensors;
 
 use super::config::{HINTS, INPUTS};
 use super::hints::Hints;
-use super::{Net, Output, PhotoGraph, PhotoGraphConfig, build, input, padded};
+use super::{Mirror, Net, Output, PhotoGraph, PhotoGraphConfig, build, input, padded};
 use crate::capture::{Capture, Photo};
 use crate::color::Transfer;
 use crate::error::Error;
@@ -165,7 +165,7 @@ fn from_a_capture_in_any_unit() {
         let capture = expected.capture(patch_size);
         let layout = padded(&graph.config, SIZE.0, SIZE.1);
         for (photo, expected) in capture.photos().iter().zip(inputs.chunks_exact(INPUTS * SIZE.0 * SIZE.1)) {
-            let planes = input::planes(photo, patch_size, layout, &Pool::default()).unwrap();
+            let planes = input::planes(photo, patch_size, Mirror::default(), layout, &Pool::default()).unwrap();
             compare(&widened(&layout.unpack(planes.values(), SIZE.0, SIZE.1)), expected, 2e-6, "inputs");
             assert!(
                 planes.values().iter().filter(|value| **value != 0.0).count() <= expected.len(),
@@ -174,7 +174,7 @@ fn from_a_capture_in_any_unit() {
         }
         let mut callback = go_on;
         let mut control = Control::new(&mut callback, CancelToken::new());
-        let prediction = graph.predict(&capture, &mut control).unwrap();
+        let prediction = graph.predict(&capture, Mirror::default(), &mut control).unwrap();
         assert_eq!((prediction.height, prediction.width), SIZE);
         compare(&widened(&prediction.raw), &expected.get("raw"), 1e-4, "raw");
         compare(&widened(&prediction.log_sigma), &expected.get("log_sigma"), 1e-4, "log_sigma");
@@ -224,6 +224,43 @@ fn any_size_and_number_of_photos() {
 }
 
 #[test]
+fn a_mirror_shows_the_capture_mirrored_and_maps_as_they_are() {
+    let (graph, capture) = (graph(), Expected::open().capture(2.0));
+    let mut callback = go_on;
+    let mut control = Control::new(&mut callback, CancelToken::new());
+    let (height, width) = SIZE;
+    for (mirror, [x, y]) in Mirror::IMAGES.into_iter().zip([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]) {
+        let other = |p: usize| {
+            let (row, column) = (p / width, p % width);
+            let (row, column) =
+                (if y < 0.0 { height - 1 - row } else { row }, if x < 0.0 { width - 1 - column } else { column });
+            row * width + column
+        };
+        let place = |place: [f64; 3]| [x * place[0], y * place[1], place[2]];
+        let photo = |photo: &Photo| {
+            let image = (0..height * width).flat_map(|p| &photo.image.data()[3 * other(p)..][..3]).copied();
+            Photo {
+                shot: Shot { camera: place(photo.shot.camera), light: place(photo.shot.light), ..photo.shot },
+                image: Image::new(width, height, 3, image.collect()).unwrap(),
+                saturated: (0..height * width).map(|p| photo.saturated[other(p)]).collect(),
+                ..photo.clone()
+            }
+        };
+        let photos = capture.photos().iter().map(photo).collect();
+        let by_hand = Capture::new(photos, capture.patch_size(), Transfer::Gamma22).unwrap();
+        let expected = graph.predict(&by_hand, Mirror::default(), &mut control).unwrap();
+        let found = graph.predict(&capture, mirror, &mut control).unwrap();
+        for (plane, sign) in [1.0, 1.0, 1.0, x, y, 1.0, 1.0, 1.0, 1.0].into_iter().enumerate() {
+            for p in 0..height * width {
+                let (at, from) = (plane * height * width + p, plane * height * width + other(p));
+                assert_eq!(found.raw[at], sign as f32 * expected.raw[from], "{mirror:?}, plane {plane}, pixel {p}");
+                assert_eq!(found.log_sigma[at], expected.log_sigma[from], "{mirror:?}, plane {plane}, pixel {p}");
+            }
+        }
+    }
+}
+
+#[test]
 fn can_be_cancelled() {
     let (graph, capture) = (graph(), Expected::open().capture(2.0));
     let mut polls = 0;
@@ -231,7 +268,7 @@ fn can_be_cancelled() {
         polls += 1;
         ControlFlow::Continue(())
     };
-    graph.predict(&capture, &mut Control::new(&mut count, CancelToken::new())).unwrap();
+    graph.predict(&capture, Mirror::default(), &mut Control::new(&mut count, CancelToken::new())).unwrap();
     assert!(polls > 20, "{polls}");
     for stop_at in [0, 1, polls / 2, polls - 1] {
         let mut seen = 0;
@@ -239,7 +276,7 @@ fn can_be_cancelled() {
             seen += 1;
             if seen > stop_at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
-        let result = graph.predict(&capture, &mut Control::new(&mut stop, CancelToken::new()));
+        let result = graph.predict(&capture, Mirror::default(), &mut Control::new(&mut stop, CancelToken::new()));
         assert!(matches!(result, Err(Error::Cancelled)), "{stop_at}");
     }
 }
