@@ -1,6 +1,7 @@
 //! What the network sees of a photo.
 
 use std::f64::consts::PI;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -17,7 +18,15 @@ use crate::shot::Shot;
 const WHITE_MIN: f64 = 1e-4;
 const RATIO_MIN: f32 = 1e-6;
 
-/// The [`INPUTS`] planes of a photo of a patch `patch_size` wide in a mirror, zero beyond the photo. `layout` has as many channels.
+/// How a photo is shown to the network.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct View {
+    pub mirror: Mirror,
+    /// The mean of so many pixels in each direction makes one.
+    pub step: usize,
+}
+
+/// The [`INPUTS`] planes of a photo of a patch `patch_size` wide, zero beyond the photo. `layout` has as many channels.
 ///
 /// Planes: the photo in gamma 2.2, clamped to [0, 1], 3; the gamma 2.2 encoding of its ratio to what a white diffuse patch facing +z would
 /// show, at most 4, 3; saturation, 1; direction to the light, 3; half vector, 3 (`network_input` in `tests/training/fixture.py`). Half the
@@ -25,7 +34,7 @@ const RATIO_MIN: f32 = 1e-6;
 pub(super) fn planes(
     photo: &Photo,
     patch_size: f64,
-    mirror: Mirror,
+    View { mirror, step }: View,
     layout: Layout,
     pool: &Pool<f32>,
 ) -> Result<Planes<f32>> {
@@ -37,22 +46,38 @@ pub(super) fn planes(
         let rows = layout.band_rows(band);
         let plane = rows.len() * layout.width;
         debug_assert_eq!(out.len(), INPUTS * plane);
-        for row in rows.start..rows.end.min(height) {
-            let y = -((row as f64 + 0.5) / height as f64 - 0.5) * 2.0 * height as f64 / width as f64;
+        for row in rows.start..rows.end.min(height.div_ceil(step)) {
+            let lines = row * step..height.min((row + 1) * step);
+            let y =
+                -((lines.start + lines.end) as f64 / 2.0 / height as f64 - 0.5) * 2.0 * height as f64 / width as f64;
             let start = (row - rows.start) * layout.width;
-            for column in 0..width {
-                let x = ((column as f64 + 0.5) / width as f64 - 0.5) * 2.0;
-                let pixel = mirror.row(row, height) * width + mirror.column(column, width);
-                let values = &photo.image.data()[3 * pixel..3 * pixel + 3];
-                let linear = [values[0], values[1], values[2]];
-                let planes = view.planes(linear, photo.saturated[pixel] != 0, x, y);
-                for (channel, value) in planes.into_iter().enumerate() {
+            for column in 0..width.div_ceil(step) {
+                let columns = column * step..width.min((column + 1) * step);
+                let x = ((columns.start + columns.end) as f64 / 2.0 / width as f64 - 0.5) * 2.0;
+                let (linear, saturated) = mean(photo, mirror, lines.clone(), columns);
+                for (channel, value) in view.planes(linear, saturated, x, y).into_iter().enumerate() {
                     out[channel * plane + start + column] = value;
                 }
             }
         }
     });
     Planes::of(out, layout)
+}
+
+/// The mean radiance of pixels that are seen in a mirror, and whether more than half of them are saturated.
+fn mean(photo: &Photo, mirror: Mirror, rows: Range<usize>, columns: Range<usize>) -> ([f32; 3], bool) {
+    let (width, height) = (photo.image.width(), photo.image.height());
+    let count = rows.len() * columns.len();
+    let (mut sum, mut saturated) = ([0.0; 3], 0);
+    for row in rows {
+        for column in columns.clone() {
+            let pixel = mirror.row(row, height) * width + mirror.column(column, width);
+            let values = &photo.image.data()[3 * pixel..3 * pixel + 3];
+            sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+            saturated += usize::from(photo.saturated[pixel] != 0);
+        }
+    }
+    (sum.map(|sum| sum / count as f32), 2 * saturated > count)
 }
 
 /// A shot as the network sees it: half the width of the patch is the unit of length.

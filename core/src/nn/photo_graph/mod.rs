@@ -8,6 +8,7 @@ mod input;
 mod mirror;
 mod net;
 mod rounds;
+mod scales;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,6 +29,7 @@ pub use config::PhotoGraphConfig;
 use config::{HINTS, RAW_PLANES};
 #[cfg(feature = "train")]
 pub(crate) use input::PhotoView;
+use input::View;
 pub use mirror::Mirror;
 use net::{Net, Output};
 use rounds::DIRECTIONS;
@@ -132,7 +134,7 @@ impl PhotoGraph {
     }
 
     /// Raw maps and their certainty from all photos of `capture` as `mirror` shows them, mirrored back; on the threads of the current rayon pool. `control` is
-    /// polled between the parts.
+    /// polled between the parts. Captures of more pixels than the network was trained on are seen smaller, too: what spreads over many pixels is known better from there.
     ///
     /// Every photo is read once and its full-resolution features are dropped before the next, see [`PhotoGraph::memory`].
     ///
@@ -140,17 +142,36 @@ impl PhotoGraph {
     /// [`Error::Cancelled`]; [`Error::NonFinite`] if the network gives values that are not finite.
     pub fn predict(&self, capture: &Capture, mirror: Mirror, control: &mut Control<'_>) -> Result<Prediction> {
         let (height, width) = (capture.height(), capture.width());
-        let layout = padded(&self.config, height, width);
-        let photo = |index: usize, pool: &_| {
-            input::planes(&capture.photos()[index], capture.patch_size(), mirror, layout, pool)
+        let steps = scales::steps(height.max(width), self.config.window);
+        let mut coarser: Option<Prediction> = None;
+        for &step in steps.iter().rev() {
+            let mut found = self.predict_at(capture, View { mirror, step }, control)?;
+            if let (Some(coarser), Some(window)) = (coarser, self.config.window) {
+                let size = (found.height, found.width);
+                scales::correct(&mut found.raw, &coarser.raw, size, window);
+                scales::correct(&mut found.log_sigma, &coarser.log_sigma, size, window);
+            }
+            coarser = Some(found);
+        }
+        let Some(Prediction { mut raw, mut log_sigma, .. }) = coarser else {
+            return Err(Error::invalid("capture", format!("expected photos, got {height} x {width} pixels")));
         };
-        let Output { mut raw, mut log_sigma } =
+        mirror.undo_raw(&mut raw, height, width);
+        mirror.undo(&mut log_sigma, height, width);
+        Ok(Prediction { height, width, raw, log_sigma })
+    }
+
+    /// What the network itself gives.
+    fn predict_at(&self, capture: &Capture, view: View, control: &mut Control<'_>) -> Result<Prediction> {
+        let (height, width) = (capture.height().div_ceil(view.step), capture.width().div_ceil(view.step));
+        let layout = padded(&self.config, height, width);
+        let photo =
+            |index: usize, pool: &_| input::planes(&capture.photos()[index], capture.patch_size(), view, layout, pool);
+        let Output { raw, log_sigma } =
             self.net.run(&self.config, capture.len(), layout, (height, width), photo, control)?;
         if !raw.par_iter().chain(&log_sigma).all(|value| value.is_finite()) {
             return Err(Error::NonFinite { stage: "prediction".into(), iteration: 0 });
         }
-        mirror.undo_raw(&mut raw, height, width);
-        mirror.undo(&mut log_sigma, height, width);
         Ok(Prediction { height, width, raw, log_sigma })
     }
 
@@ -177,6 +198,8 @@ impl PhotoGraph {
         let exchange = tail + quarter(hints) + nodes + quarter((BLOCK - 1) * node).max(quarter(pooled(node)));
         let trunk = tail + quarter(BLOCK * of(config.width)).max(quarter(pooled(node) + of(config.width)));
         let end = (BLOCK * tail).max(3 * tail + quarter(of(config.width))).max(2 * raw + BLOCK * feature);
+        // The prediction at half the resolution.
+        let coarser = quarter(2 * raw);
         // What every thread holds of a band: in a round of messages, at half resolution; neighbourhoods of a convolution; inside of a block.
         let threads = rayon::current_num_threads() as u64;
         let band = |step: u64| width.div_ceil(step).clamp(256, 1 << 20);
@@ -188,7 +211,7 @@ impl PhotoGraph {
             values.saturating_add(scratch.saturating_mul(threads)).saturating_mul(size_of::<f32>() as u64)
         };
         let rest = see.max(hinted).max(trunk).max(end);
-        bytes(rest, inside).max(bytes(exchange, messages.saturating_mul(band(2))))
+        bytes(coarser + rest, inside).max(bytes(coarser + exchange, messages.saturating_mul(band(2))))
     }
 }
 

@@ -7,6 +7,7 @@ use safetensors::SafeTensors;
 
 use super::config::{HINTS, INPUTS};
 use super::hints::Hints;
+use super::input::View;
 use super::{Mirror, Net, Output, PhotoGraph, PhotoGraphConfig, build, input, padded};
 use crate::capture::{Capture, Photo};
 use crate::color::Transfer;
@@ -157,6 +158,9 @@ fn hints_of_the_training_code() {
     compare(&hints::<f32>(&graph.config, &inputs), &expected, 1e-5, "hints in f32");
 }
 
+/// Every pixel as it is.
+const WHOLE: View = View { mirror: Mirror { x: false, y: false }, step: 1 };
+
 #[test]
 fn from_a_capture_in_any_unit() {
     let (graph, expected) = (graph(), Expected::open());
@@ -165,7 +169,7 @@ fn from_a_capture_in_any_unit() {
         let capture = expected.capture(patch_size);
         let layout = padded(&graph.config, SIZE.0, SIZE.1);
         for (photo, expected) in capture.photos().iter().zip(inputs.chunks_exact(INPUTS * SIZE.0 * SIZE.1)) {
-            let planes = input::planes(photo, patch_size, Mirror::default(), layout, &Pool::default()).unwrap();
+            let planes = input::planes(photo, patch_size, WHOLE, layout, &Pool::default()).unwrap();
             compare(&widened(&layout.unpack(planes.values(), SIZE.0, SIZE.1)), expected, 2e-6, "inputs");
             assert!(
                 planes.values().iter().filter(|value| **value != 0.0).count() <= expected.len(),
@@ -174,7 +178,7 @@ fn from_a_capture_in_any_unit() {
         }
         let mut callback = go_on;
         let mut control = Control::new(&mut callback, CancelToken::new());
-        let prediction = graph.predict(&capture, Mirror::default(), &mut control).unwrap();
+        let prediction = graph.predict_at(&capture, WHOLE, &mut control).unwrap();
         assert_eq!((prediction.height, prediction.width), SIZE);
         compare(&widened(&prediction.raw), &expected.get("raw"), 1e-4, "raw");
         compare(&widened(&prediction.log_sigma), &expected.get("log_sigma"), 1e-4, "log_sigma");
