@@ -21,25 +21,22 @@ from report import table, three  # noqa: E402
 from shading import Maps, gamma22, render, unit  # noqa: E402
 
 SIZE = 128
-SEEDS = (1, 2)
 ADAPTER_STEPS, LATENT_STEPS = 300, 10
 LABELS = {
-    "graph": "graph convolution (Eq. 2), adapters",
+    "graph": "graph convolution (Eq. 2), from ones as published",
+    "graph-from-identity": "graph convolution (Eq. 2), from the identity",
     "no-graph": "without graph: one convolution",
     "max-pooling": "maximum over photos instead",
-    "no-adapters": "graph, without adapters",
+    "no-adapters": "graph from ones, without adapters",
     "directions": "small photo graph",
     "no-directions": "the same, without light directions",
 }
+PAPER = ("graph", "graph-from-identity", "no-graph", "max-pooling", "no-adapters")
+SMALL = ("directions", "no-directions")
 # Those that the command line runs; the maximum is no form of the paper's network.
-FITTED = ("graph", "no-graph", "no-adapters")
+FITTED = ("graph", "graph-from-identity", "no-graph", "no-adapters")
 STAGES = {"network only": (0, 0), "+ latent": (LATENT_STEPS, 0), "+ adapters": (0, ADAPTER_STEPS), "+ latent + adapters": (LATENT_STEPS, ADAPTER_STEPS)}
 ERRORS = ("D", "N", "R", "S", "rendering")
-
-
-def both(values):
-    """The figures of the seeds, side by side."""
-    return " / ".join(map(three, values))
 
 
 def small(name):
@@ -54,17 +51,17 @@ def validation(folder, name, seed):
     return [json.loads(line) for line in lines if '"validation"' in line][-1]
 
 
-def predictions(folder, names, kind):
-    """Rows of the first table: errors of the networks alone."""
+def predictions(folder, names, seeds, kind):
+    """Rows of the first tables: errors of the networks alone, those of the seeds side by side."""
     rows = []
     for name in names:
-        scores = [validation(folder, name, seed)["validation"][kind] for seed in SEEDS]
-        rows.append([LABELS[name], *(both(score[error] for score in scores) for error in ERRORS)])
+        scores = [validation(folder, name, seed)["validation"][kind] for seed in seeds]
+        rows.append([LABELS[name], *(" / ".join(three(score[error]) for score in scores) for error in ERRORS)])
     return rows
 
 
 def measure(job):
-    """Re-rendering error of one material for every network and stage, by (network, seed, stage)."""
+    """Re-rendering error of one material for every network and stage, by (network, stage)."""
     folder, binary, name = job
     truth = small(name)
     capture = folder / "captures" / name
@@ -73,56 +70,49 @@ def measure(job):
     tests = [(place, gamma22(render(truth, place, place, scenes.INTENSITY, scenes.PATCH_SIZE))) for place in scenes.positions()[1]]
     out = {}
     for network in FITTED:
-        for seed in SEEDS:
-            for stage, (latent, adapters) in STAGES.items():
-                if network == "no-adapters" and adapters:
-                    continue
-                maps = folder / "fits" / f"{network}-{seed}-{latent}-{adapters}" / name
-                steps = ["--latent-steps", str(latent), "--adapter-steps", str(adapters), "--no-early-stop", "--threads", "1"]
-                weights = folder / f"{network}-{seed}.safetensors"
-                command = [binary, "fit", capture, "--views", "0,1,2,3", "--weights", weights, *steps, "--format", "tiff", "-q", "-o", maps]
-                maps.parent.mkdir(parents=True, exist_ok=True)
-                subprocess.run(command, check=True)
-                fitted, _ = scenes.load_fit(maps)
-                pictures = (gamma22(render(fitted, place, place, scenes.INTENSITY, scenes.PATCH_SIZE)) for place, _ in tests)
-                out[network, seed, stage] = statistics.fmean(rmse(picture, true) for picture, (_, true) in zip(pictures, tests, strict=True))
+        for stage, (latent, adapters) in STAGES.items():
+            if network == "no-adapters" and adapters:
+                continue
+            maps = folder / "fits" / f"{network}-{latent}-{adapters}" / name
+            steps = ["--latent-steps", str(latent), "--adapter-steps", str(adapters), "--no-early-stop", "--threads", "1"]
+            weights = folder / f"{network}-1.safetensors"
+            command = [binary, "fit", capture, "--views", "0,1,2,3", "--weights", weights, *steps, "--format", "tiff", "-q", "-o", maps]
+            maps.parent.mkdir(parents=True, exist_ok=True)
+            subprocess.run(command, check=True)
+            fitted, _ = scenes.load_fit(maps)
+            pictures = (gamma22(render(fitted, place, place, scenes.INTENSITY, scenes.PATCH_SIZE)) for place, _ in tests)
+            out[network, stage] = statistics.fmean(rmse(picture, true) for picture, (_, true) in zip(pictures, tests, strict=True))
     return out
 
 
 TEXT = """# Ablations
 
-What the parts of the paper's network and of its fit are worth, and light directions, at the size of training that one CPU core manages: {steps} steps each of four crops of
-96 x 96 pixels (about ten minutes), two seeds, the same materials. Made by `make ablations` (trainings by `svbrdf_gcn.training.ablations`, two hours; measured by `tests/accuracy/ablations.py`).
-The authors trained a network sixteen times as large for three days on four GPUs: these tables tell what is learned first, not what is better in the end.
+What the parts of the paper's network and of its fit are worth, and light directions, at sizes of training that CPUs manage, on the same materials. Made by `make ablations` (trainings by
+`svbrdf_gcn.training.ablations`; measured by `tests/accuracy/ablations.py`). The authors trained a network sixteen times as large for three days on four GPUs: these tables tell what is learned first, not what is better in the end.
 
-Cells are the two seeds. Photos are those of the synthetic literature: camera and light together 2.146 half widths above the patch, offsets up to 1.2, four photos.
+## The paper's network
+At width 16 (7.4 M parameters; `paper-16.toml`), {steps} steps of four crops of 96 x 96 pixels, an hour of one core each (or half an hour of two), one seed. Captures of four photos from near and far, with all defects; the network
+does not know where camera and light stood. 24 textures held out of training, 128 x 128 pixels, with a perfect camera (`near`) and with defects (`real`): RMSE of linear diffuse, of (n + 1) / 2, roughness, specular, and of 20 renderings
+in gamma 2.2.
 
-## The networks by themselves
-24 textures held out of training, 128 x 128 pixels: RMSE of linear diffuse, of (n + 1) / 2, roughness, specular, and of 20 renderings in gamma 2.2. The paper's network at width 16 (7.4 M parameters;
-`paper-16.toml`), which does not know where the light stood.
+{paper_near}
 
-{paper}
+{paper_real}
 
-A small photo graph ({parameters:.2f} M parameters, `directions.toml`), trained on captures with all defects, with and without the planes that follow from camera and light (ratio to white, directions, half vectors, hints), with a perfect camera (`near`) and with defects (`real`):
+## Light directions
+A small photo graph ({parameters:.2f} M parameters, `directions.toml`), {small_steps} steps on the same captures, with and without the planes that follow from camera and light (ratio to white, directions, half vectors, hints). Cells are two seeds.
 
-{near}
+{small_near}
 
-{real}
+{small_real}
 
 ## The stages of the paper's fit
-Re-rendering error (20 places, gamma 2.2) on the twelve maps of Deschaintre et al. at 128 x 128 pixels, four photos; {latent} steps on the latent code, {adapters} on the adapters. Without adapters
+Re-rendering error (20 places, gamma 2.2) on the twelve maps of Deschaintre et al. at 128 x 128 pixels, four photos, camera and light together 2.146 half widths above the patch; {latent} steps on the latent code, {adapters} on the adapters. Without adapters
 there is nothing to optimise in them.
 
 {fits}
 
 ## What they say
-- **Light directions** are worth most: without them, errors of diffuse albedo about double and those of renderings grow by six tenths or more, with both seeds and both kinds of capture. This is why the
-  default network is given them.
-- **The graph of Eq. 2** comes after one plain convolution and after the maximum over photos here: its products of all channels are slow to train, and after {steps} steps it is behind with both seeds. The paper finds the
-  reverse after a full training; nothing here contradicts that, and nothing confirms it.
-- **Adapters** make the training steadier (one of the two seeds without them failed), and their optimisation is what the fit lives on: it takes away a quarter to nearly half of the error. Ten steps on the latent code take away
-  next to nothing, before or without adapters. At this size of training the latent code has little to say yet.
-- **Normals** are as flat with all of them (.033): ten minutes teach colours and gloss, not relief.
 """
 
 
@@ -140,21 +130,22 @@ def main(arguments=None):
         means = {key: statistics.fmean(errors[key] for errors in found) for key in found[0]}
         kept.write_text(json.dumps([[*key, value] for key, value in means.items()], indent=1))
     means = {tuple(key): value for *key, value in json.loads(kept.read_text())}
-    rows = [
-        [LABELS[network], *(both(means[network, seed, stage] for seed in SEEDS) if (network, 1, stage) in means else "–" for stage in STAGES)] for network in FITTED
-    ]
-    heads = ("", "D", "N", "R", "S", "rendering")
-    state = validation(options.folder, "graph", 1)
+    rows = [[LABELS[network], *(three(means[network, stage]) if (network, stage) in means else "–" for stage in STAGES)] for network in FITTED]
+    heads = ("", *ERRORS)
+    tables = {
+        f"{group}_{kind}": table((kind, *heads[1:]), predictions(options.folder, names, seeds, f"{kind} 4"))
+        for group, names, seeds in (("paper", PAPER, (1,)), ("small", SMALL, (1, 2)))
+        for kind in ("near", "real")
+    }
     weights = options.folder / "directions-1" / "checkpoint" / "average.safetensors"
     text = TEXT.format(
-        steps=state["step"],
-        paper=table(heads, predictions(options.folder, ("graph", "no-graph", "max-pooling", "no-adapters"), "paper 4")),
+        steps=validation(options.folder, "graph", 1)["step"],
+        small_steps=validation(options.folder, "directions", 1)["step"],
         parameters=weights.stat().st_size / 4e6,
-        near=table(("near", *heads[1:]), predictions(options.folder, ("directions", "no-directions"), "near 4")),
-        real=table(("real", *heads[1:]), predictions(options.folder, ("directions", "no-directions"), "real 4")),
         latent=LATENT_STEPS,
         adapters=ADAPTER_STEPS,
         fits=table(("", *STAGES), rows),
+        **tables,
     )
     (options.report / "ablations.md").write_text(text)
     print(options.report / "ablations.md")
