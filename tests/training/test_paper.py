@@ -57,18 +57,6 @@ def test_forms_and_sizes(gcn, adapters):
         net(torch.rand(1, 3, 13, 16, 16))
 
 
-def test_from_the_identity_every_channel_keeps_its_own():
-    encoder, photos = paper.Encoder({**SMALL, "gcn": "full", "adjacency": "identity"}), torch.rand(1, 4, 3, 16, 16)
-    with torch.no_grad():
-        # Without queries and keys.
-        for layer in (encoder.conv_q1, encoder.conv_k1):
-            layer.weight.zero_(), layer.bias.zero_()
-        x = encoder.conv0(photos.flatten(0, 1)).reshape(1, -1, 16, 16)
-        assert (encoder.fuse(photos) - torch.relu(encoder.conv1(x))).abs().max() < 1e-6
-    with pytest.raises(ValueError, match="adjacency: expected one of ones, identity, got two"):
-        paper.Paper({**SMALL, "adjacency": "two"})
-
-
 def test_max_pooling_does_not_know_the_order_of_photos():
     net, x = paper.Paper({**SMALL, "gcn": "max"}), torch.rand(1, 4, 13, 16, 16)
     with torch.no_grad():

@@ -13,7 +13,6 @@ from pathlib import Path
 # Name: configuration, changes, seeds.
 VARIANTS = {
     "graph": ("paper-16", [], (1,)),
-    "graph-from-identity": ("paper-16", ['paper.adjacency="identity"'], (1,)),
     "no-graph": ("paper-16", ['paper.gcn="none"'], (1,)),
     "max-pooling": ("paper-16", ['paper.gcn="max"'], (1,)),
     "no-adapters": ("paper-16", ["paper.adapters=false"], (1,)),
@@ -21,7 +20,7 @@ VARIANTS = {
     "no-directions": ("directions", ["data.directions=false"], (1, 2)),
 }
 # Those that a fit can use; their weights are written beside their folders.
-EXPORTED = ("graph", "graph-from-identity", "no-graph", "no-adapters")
+EXPORTED = ("graph", "no-graph", "no-adapters")
 
 
 def steps(folder):

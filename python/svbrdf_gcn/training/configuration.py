@@ -111,7 +111,7 @@ def network(config):
 def of_checkpoint(state):
     """The configuration in a checkpoint's `state.json`; old ones lack the newest settings."""
     config = {**DEFAULTS, **state["config"]}
-    return {**config, **{table: {**DEFAULTS[table], **config[table]} for table in ("data", "paper")}}
+    return {**config, "data": {**DEFAULTS["data"], **config["data"]}}
 
 
 def can_be_exported(config):

@@ -11,9 +11,6 @@ feature H of nine channels, one adapter per map (paper, Eq. 4). Tensors have the
 - `none`: one convolution of all photos' channels.
 - `max`: one convolution per photo and the maximum over photos, as in Deschaintre et al. 2019, then a convolution.
 
-`adjacency` is what the learned part of the graph, `adj1`, starts from: `ones` as published, so that at first all channels gather nearly the same sum, or the `identity`, so
-that each keeps its own. The form of the network is the same.
-
 `adapters = false`: `ending` gives the nine raw planes itself.
 """
 
@@ -24,11 +21,10 @@ import torch.nn.functional as functional
 from .model import ADAPTERS, Adapter, Block
 
 GCN = ("full", "diagonal", "none", "max")
-ADJACENCIES = {"ones": lambda width: torch.ones(width, width), "identity": torch.eye}
 # Channels of the material feature.
 FEATURE = 9
 
-DEFAULT = {"photos": 4, "width": 64, "encoder_blocks": [2, 2, 4, 8], "middle_blocks": 12, "decoder_blocks": [2, 2, 2, 2], "gcn": "full", "adjacency": "ones", "adapters": True, "roughness_floor": -0.3}  # fmt: skip
+DEFAULT = {"photos": 4, "width": 64, "encoder_blocks": [2, 2, 4, 8], "middle_blocks": 12, "decoder_blocks": [2, 2, 2, 2], "gcn": "full", "adapters": True, "roughness_floor": -0.3}  # fmt: skip
 
 
 def blocks(count, channels):
@@ -55,10 +51,9 @@ class Encoder(nn.Module):
             self.conv1 = nn.Conv2d(width, width, 3, padding=1)
         if self.gcn in ("full", "diagonal"):
             self.conv_q1, self.conv_k1 = (nn.Conv2d(width, width, 3, padding=1) for _ in range(2))
-            self.adj1 = nn.Parameter(ADJACENCIES[config["adjacency"]](width))
-            # What a channel gathers stays as large as one of them.
-            gathered = 1 if self.gcn == "diagonal" or config["adjacency"] == "identity" else width
-            self.lamda = nn.Parameter(torch.tensor(1.0 / gathered))
+            self.adj1 = nn.Parameter(torch.ones(width, width))
+            # The sum over all channels stays as large as one of them.
+            self.lamda = nn.Parameter(torch.tensor(1.0 if self.gcn == "diagonal" else 1.0 / width))
         levels = config["encoder_blocks"]
         self.encoders = nn.ModuleList(blocks(count, width << level) for level, count in enumerate(levels))
         self.downs = nn.ModuleList(nn.Conv2d(width << level, width << level + 1, 2, stride=2) for level in range(len(levels)))
@@ -121,9 +116,8 @@ class Paper(nn.Module):
 
     def __init__(self, config):
         super().__init__()
-        for key, known in (("gcn", GCN), ("adjacency", ADJACENCIES)):
-            if config[key] not in known:
-                raise ValueError(f"paper.{key}: expected one of {', '.join(known)}, got {config[key]}")
+        if config["gcn"] not in GCN:
+            raise ValueError(f"paper.gcn: expected one of {', '.join(GCN)}, got {config['gcn']}")
         if len(config["encoder_blocks"]) != len(config["decoder_blocks"]):
             raise ValueError(f"paper.decoder_blocks: expected {len(config['encoder_blocks'])} levels, got {len(config['decoder_blocks'])}")
         if config["width"] % config["photos"]:
