@@ -81,7 +81,7 @@ mod tests {
             let half = height.div_ceil(2) * width.div_ceil(2);
             let window = height.max(width);
             // The finer picture alternates about .4, the coarser one is even: half of what is between them is taken over.
-            let checker = |p: usize| if (p / width + p % width) % 2 == 0 { 0.1 } else { -0.1 };
+            let checker = |p: usize| if (p / width + p % width).is_multiple_of(2) { 0.1 } else { -0.1 };
             let mut fine: Vec<f32> = (0..2 * height * width).map(|p| 0.4 + checker(p % (height * width))).collect();
             let coarse: Vec<f32> = (0..2 * half).map(|p| if p < half { 0.8 } else { 0.4 }).collect();
             correct(&mut fine, &coarse, size, window);
@@ -90,7 +90,7 @@ mod tests {
             // Blocks of an odd number of pixels have a mean of their own.
             assert!((mean(first) - 0.6).abs() < 0.06, "{size:?}: {}", mean(first));
             assert!((mean(second) - 0.4).abs() < 0.06, "{size:?}: {}", mean(second));
-            if height % 2 == 0 && width % 2 == 0 {
+            if height.is_multiple_of(2) && width.is_multiple_of(2) {
                 for (p, (first, second)) in first.iter().zip(second).enumerate() {
                     let (row, column) = (p / width, p % width);
                     let inside = row + 8 < height && column + 8 < width;
