@@ -42,11 +42,12 @@ impl Preset {
         }
     }
 
-    /// How many mirror images of `photos` photos the default network predicts maps of, whose mean is taken. Few photos leave most to the network: of a single one
-    /// the mean of four misses new views by a twentieth less; with more than four it gains nothing.
+    /// How many mirror images of `photos` photos the default network predicts maps of, whose mean is taken. Few photos leave most to the network; with more than four
+    /// nothing is gained.
     pub const fn mirror_images(self, photos: usize) -> usize {
         match (self, photos) {
-            (Self::Balanced | Self::High, 1) | (Self::High, ..=4) => Mirror::IMAGES.len(),
+            (Self::Balanced, 1) => 2,
+            (Self::High, ..=4) => Mirror::IMAGES.len(),
             _ => 1,
         }
     }
