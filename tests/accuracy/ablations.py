@@ -135,9 +135,8 @@ def main(arguments=None):
         kept.write_text(json.dumps([[*key, value] for key, value in means.items()], indent=1))
     means = {tuple(key): value for *key, value in json.loads(kept.read_text())}
     rows = [[LABELS[network], *(three(means[network, stage]) if (network, stage) in means else "–" for stage in STAGES)] for network in FITTED]
-    heads = ("", *ERRORS)
     tables = {
-        f"{group}_{kind}": table((kind, *heads[1:]), predictions(options.folder, names, seeds, f"{kind} 4"))
+        f"{group}_{kind}": table((kind, *ERRORS), predictions(options.folder, names, seeds, f"{kind} 4"))
         for group, names, seeds in (("paper", PAPER, (1,)), ("small", SMALL, (1, 2)))
         for kind in ("near", "real")
     }

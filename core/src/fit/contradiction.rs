@@ -113,6 +113,8 @@ fn missed(photo: &Photo, mut rendering: Vec<f32>) -> Result<f64> {
 
 #[cfg(test)]
 mod tests {
+    use std::ops::ControlFlow;
+
     use super::contradicting;
     use crate::cancel::CancelToken;
     use crate::capture::{Capture, Photo};
@@ -123,7 +125,6 @@ mod tests {
     use crate::maps::{Lobe, Maps};
     use crate::progress::{Control, Progress};
     use crate::shot::Shot;
-    use std::ops::ControlFlow;
 
     const SIDE: usize = 16;
     const PIXELS: usize = SIDE * SIDE;

@@ -109,12 +109,12 @@ fn estimate(capture: &Capture, model: Option<&Model>, route: Route<'_>, options:
         }
         Route::Graph(graph) => {
             // What the network predicts: nine planes and their deviations.
-            let kept = 2 * 9 * 4 * pixels + maps;
+            let predicted = 2 * 9 * 4 * pixels;
             let after = direct::memory(photos, size, true).max(finish::memory(photos, pixels));
             // The mean, while the next mirror image is predicted.
-            let mean = if options.preset.mirror_images(photos) > 1 { 2 * 9 * 4 * pixels } else { 0 };
+            let mean = if options.preset.mirror_images(photos) > 1 { predicted } else { 0 };
             let encoding = graph.memory(photos, capture.height(), capture.width()).saturating_add(mean);
-            encoding.max(kept.saturating_add(after))
+            encoding.max((predicted + maps).saturating_add(after))
         }
     };
     let threads = match route {

@@ -435,6 +435,8 @@ fn diffuse_planes(maps: &Maps<f32>) -> &[f32] {
 
 #[cfg(test)]
 mod tests {
+    use std::ops::ControlFlow;
+
     use super::{DirectFit, Problem, Relief, correct, fit_direct};
     use crate::capture::Capture;
     use crate::color::Transfer;
@@ -444,7 +446,6 @@ mod tests {
     use crate::maps::{Lobe, Maps, NORMAL_PLANE, ROUGHNESS_PLANE};
     use crate::progress::{CancelToken, Control, Progress};
     use crate::shot::Shot;
-    use std::ops::ControlFlow;
 
     const SIZE: usize = 24;
     const PIXELS: usize = SIZE * SIZE;

@@ -191,6 +191,8 @@ impl<'a> Problem<'a> {
 
 #[cfg(test)]
 mod tests {
+    use std::ops::ControlFlow;
+
     use super::{Finished, Fold, Judgement, Problem, RAW, Rehearsal, Start, Weighting};
     use crate::capture::Capture;
     use crate::color::Transfer;
@@ -202,7 +204,6 @@ mod tests {
     use crate::nn::Decoding;
     use crate::progress::{CancelToken, Control, Progress};
     use crate::shot::Shot;
-    use std::ops::ControlFlow;
 
     const WIDTH: usize = 24;
     const HEIGHT: usize = 20;

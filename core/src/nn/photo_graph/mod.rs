@@ -136,29 +136,26 @@ impl PhotoGraph {
     /// Raw maps and their certainty from all photos of `capture` as `mirror` shows them, mirrored back; on the threads of the current rayon pool. `control` is
     /// polled between the parts. Captures of more pixels than the network was trained on are seen smaller, too: what spreads over many pixels is known better from there.
     ///
-    /// Every photo is read once and its full-resolution features are dropped before the next, see [`PhotoGraph::memory`].
+    /// Every photo is read once for each size and its full-resolution features are dropped before the next, see [`PhotoGraph::memory`].
     ///
     /// # Errors
     /// [`Error::Cancelled`]; [`Error::NonFinite`] if the network gives values that are not finite.
     pub fn predict(&self, capture: &Capture, mirror: Mirror, control: &mut Control<'_>) -> Result<Prediction> {
         let (height, width) = (capture.height(), capture.width());
         let steps = scales::steps(height.max(width), self.config.window);
-        let mut coarser: Option<Prediction> = None;
-        for &step in steps.iter().rev() {
-            let mut found = self.predict_at(capture, View { mirror, step }, control)?;
-            if let (Some(coarser), Some(window)) = (coarser, self.config.window) {
+        let mut found = self.predict_at(capture, View { mirror, step: steps[steps.len() - 1] }, control)?;
+        for &step in steps.iter().rev().skip(1) {
+            let finer = self.predict_at(capture, View { mirror, step }, control)?;
+            let coarser = std::mem::replace(&mut found, finer);
+            if let Some(window) = self.config.window {
                 let size = (found.height, found.width);
                 scales::correct(&mut found.raw, &coarser.raw, size, window);
                 scales::correct(&mut found.log_sigma, &coarser.log_sigma, size, window);
             }
-            coarser = Some(found);
         }
-        let Some(Prediction { mut raw, mut log_sigma, .. }) = coarser else {
-            return Err(Error::invalid("capture", format!("expected photos, got {height} x {width} pixels")));
-        };
-        mirror.undo_raw(&mut raw, height, width);
-        mirror.undo(&mut log_sigma, height, width);
-        Ok(Prediction { height, width, raw, log_sigma })
+        mirror.undo_raw(&mut found.raw, height, width);
+        mirror.undo(&mut found.log_sigma, height, width);
+        Ok(found)
     }
 
     /// What the network itself gives.
